@@ -22,7 +22,7 @@ import sys
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
-from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.force import add_force_argument, check_outputs, written_line
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.parsing import add_seed_argument
@@ -214,7 +214,9 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
                           report=args.report, scene=SceneOutputs.of(args),
                           camera_name=args.camera_name, seed=args.seed,
                           mount=args.mount_output, camera_frame=args.camera_frame,
-                          command=getattr(args, 'command_line', ()), inputs=(path,))
+                          command=getattr(args, 'command_line', ()), inputs=(path,),
+                          replaces_own=args.output is None)
+        replaced = outputs.replaced
         # before the long work, so that a mistyped folder costs a second and not the result
         outputs.check(path, args.mask, args.model, args.camera, args.object,
                       settings.robot and settings.robot.table, force=args.force)
@@ -236,10 +238,11 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         written, left_out = outputs.write(result, text, reading.description, reading.tracks,
                                           open_frames, (*why, *reading.findings),
                                           reading.stamps_ns,
-                                          _figures(reading) if args.report else (), args.force)
+                                          _figures(reading) if args.report else (), args.force,
+                                          replaced is not None)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
-        print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
+        print(written_line(written, (replaced,) if replaced else ()))
     elif not result:
         print(result, file=sys.stderr)
     if args.view and result and result.motion == 'rotation':

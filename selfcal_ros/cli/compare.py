@@ -31,15 +31,16 @@ _FOCAL = ('fx', 'fy', 'skew')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal compare`."""
-    kinds = ('camera file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or result.json, whose '
-             'covariance is then used; or the transform of a camera on a robot (.urdf, .yaml, '
-             '.launch.py, .calib)')
+    kinds = ('camera file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or result.json; the '
+             'covariance of our own files is used; or the transform of a camera on a robot '
+             '(.urdf, .yaml, .launch.py, .calib)')
     parser.add_argument('first', metavar='A', help=kinds)
     parser.add_argument('second', metavar='B', help='the same, of the same image size')
     for letter in 'ab':
         parser.add_argument(f'--result-{letter}', type=Path, metavar='RESULT.JSON',
-                            help=f'covariance of {letter.upper()} (default: that of NAME.json or '
-                                 'result.json beside it, if it is of the same camera)')
+                            help=f'covariance of {letter.upper()} (default: its own, or that of '
+                                 'NAME.json or result.json beside it, if it is of the same '
+                                 'camera)')
         parser.add_argument(f'--camera-{letter}', metavar='NAME',
                             help=f'which of several cameras in {letter.upper()}')
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),

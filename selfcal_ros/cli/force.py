@@ -14,13 +14,15 @@
 """
 --force: no verb replaces a camera file or a model that exists without it.
 
+The camera file of an earlier run is replaced where nobody has named it.
+
 A camera file may be what a driver serves, and a model what somebody has worked on. Reports, tables
 and pictures are made anew from the same recording, and replace those of the last run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
@@ -40,6 +42,8 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
                   options: Mapping[str, str | os.PathLike | None] | None = None) -> None:
     """
     Make sure before the work that outputs can be written, and replace nothing without a word.
+
+    Folders that are missing are made.
 
     Parameters
     ----------
@@ -63,7 +67,13 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     from selfcal_ros.values import output_files
     kept, others = ([path for path in paths if path is not None and str(path) != STANDARD_OUTPUT]
                     for paths in (precious, derived))
-    output_files.check_outputs([*kept, *others], inputs, options or {})
+    with _folders_of([*kept, *others]):
+        output_files.check_outputs([*kept, *others], inputs, options or {})
+        _refuse_taken(kept, force)
+
+
+def _refuse_taken(kept: list[str | os.PathLike], force: bool) -> None:
+    """Refuse to replace what is kept."""
     taken = [] if force else [str(path) for path in kept
                               if os.path.isfile(path) and os.path.getsize(path)]
     if len(taken) == 1:
@@ -72,6 +82,30 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     if taken:
         raise InputError(f'{", ".join(taken[:-1])} and {taken[-1]} exist already; choose other '
                          'names, or replace them with --force.')
+
+
+def is_made_here(path: Path) -> bool:
+    """Tell whether a camera file comes from this package, by its first line."""
+    try:
+        with path.open('rb') as stream:
+            return stream.readline(200).startswith(b'# selfcal_ros ')
+    except OSError:
+        return False
+
+
+def written_line(written: Iterable[Path], replaced: Collection[Path] = ()) -> str:
+    """
+    Say which files a run leaves behind.
+
+    Parameters
+    ----------
+    written : iterable of Path
+    replaced : collection of Path
+        Those of them that took the place of earlier ones.
+
+    """
+    names = [f'{path} (replaced)' if path in replaced else str(path) for path in written]
+    return f'Written: {", ".join(names)}.' if names else 'Nothing was written.'
 
 
 def make_folder(folder: Path) -> None:
@@ -101,6 +135,28 @@ def make_folder(folder: Path) -> None:
 
 
 @contextmanager
+def _folders_of(outputs: Iterable[str | os.PathLike]) -> Iterator[None]:
+    """Make the folders that outputs need; what is refused then leaves no empty ones."""
+    folders = [Path(os.path.realpath(output)).parent for output in outputs]
+    new = [place for folder in folders for place in (*reversed(folder.parents), folder)
+           if not os.path.lexists(place)]
+    try:
+        for folder in folders:
+            make_folder(folder)
+        yield
+    except BaseException:
+        _remove_empty(new)
+        raise
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove folders, the last first; what holds something stays."""
+    for place in reversed(folders):
+        with suppress(OSError):
+            place.rmdir()
+
+
+@contextmanager
 def output_folder(folder: Path, *inside: str) -> Iterator[None]:
     """
     Make a folder that belongs to one run; a run that is refused leaves no empty one.
@@ -126,8 +182,5 @@ def output_folder(folder: Path, *inside: str) -> Iterator[None]:
         with claimed(folder):
             yield
     except BaseException:
-        for place in reversed(new):
-            # what holds something stays
-            with suppress(OSError):
-                place.rmdir()
+        _remove_empty(new)
         raise

@@ -140,6 +140,7 @@ class _RecordingFiles:
 
     def write(self, outcome) -> None:
         """Write camera file, result and poses, each whole or not at all."""
+        from selfcal_ros.report.camera_uncertainty import uncertainty_comment
         from selfcal_ros.report.camera_yaml import write_camera_yaml
         from selfcal_ros.report.result_json import write_result_json
         if outcome.result is None:
@@ -156,7 +157,9 @@ class _RecordingFiles:
             return
         about = f'{outcome.result.software}: {outcome.path} {outcome.topic}'
         write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
-                          file_name(outcome.topic) or 'camera', [about])
+                          file_name(outcome.topic) or 'camera',
+                          [about, *uncertainty_comment(outcome.result.camera,
+                                                       outcome.result.covariance)])
         if self._poses and outcome.camera_path is not None:
             from selfcal_ros.report.scene_files.pose_files import ENDS, write_poses
             write_poses(self._folder / f'{name}{ENDS[self._poses]}', self._poses,
@@ -175,6 +178,7 @@ def file_name(text: str) -> str:
 
 def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
     """Write the joint result and the figure of each camera; returns the files."""
+    from selfcal_ros.report.camera_uncertainty import uncertainty_comment
     from selfcal_ros.report.camera_yaml import write_camera_yaml
     from selfcal_ros.report.many_inputs_report import verdict_of
     from selfcal_ros.report.parameter_history import parameter_history, picture
@@ -191,7 +195,8 @@ def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
         written += [
             write_camera_yaml(folder / f'{name}.yaml', result.camera, name,
                               [f'{result.software}: {int(camera.joint.used.sum())} recordings '
-                               'together', verdict_of(camera).replace('±', '+-')]),
+                               'together', verdict_of(camera).replace('±', '+-'),
+                               *uncertainty_comment(result.camera, result.covariance)]),
             write_result_json(folder / f'{name}.json', result)]
         figure = parameter_history(camera)
         if figure is not None:

@@ -20,12 +20,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, is_made_here
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.scene_outputs import SceneOutputs
 from selfcal_ros.cli.status import EXIT_INPUT, LeftOut
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.provenance import Provenance
@@ -56,6 +57,8 @@ class Outputs:
         The transform from the robot to the camera.
     camera_frame : str or None
         Its child; by default that of the images.
+    replaces_own : bool
+        Nobody has named the camera file: one that this package has made is replaced.
 
     """
 
@@ -69,6 +72,7 @@ class Outputs:
     seed: int | None = None
     mount: Path | None = None
     camera_frame: str | None = None
+    replaces_own: bool = False
 
     def check(self, *inputs: str | Path | None, force: bool = True) -> None:
         """
@@ -92,20 +96,28 @@ class Outputs:
             from selfcal_ros.report.mounts.transform_files import check_frame, kind_of_name
             kind_of_name(self.mount)
             check_frame(self.camera_frame or 'camera')
-        check_outputs((self.camera_yaml, self.mount), inputs, force,
-                      (self.result_json, self.report, *self.scene.files),
+        own = self.camera_yaml if self.replaced else None
+        check_outputs((None if own else self.camera_yaml, self.mount), inputs, force,
+                      (own, self.result_json, self.report, *self.scene.files),
                       {'--output': self.camera_yaml, '--mount-output': self.mount,
                        '--json': self.result_json, '--report': self.report,
                        '--ply': self.scene.ply, '--poses': self.scene.poses,
                        '--transforms': self.scene.transforms})
         self.scene.check(inputs[0] if inputs else None, force)
 
+    @property
+    def replaced(self) -> Path | None:
+        """The camera file of an earlier run that this one replaces without being told to."""
+        is_own = self.replaces_own and self.camera_yaml and is_made_here(self.camera_yaml)
+        return self.camera_yaml if is_own else None
+
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
               open_frames: Callable | None = None, notes: tuple[Finding | str, ...] = (),
               stamps_ns: Mapping[int, int] | None = None,
               figures: tuple[str, ...] = (),
-              force: bool = True) -> tuple[list[Path], list[LeftOut]]:
+              force: bool = True,
+              known_before: bool = False) -> tuple[list[Path], list[LeftOut]]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -129,6 +141,8 @@ class Outputs:
             Further elements for the report, from this program alone.
         force : bool
             Replace the camera file and the transform, if they have been made meanwhile.
+        known_before : bool
+            `replaced` was there when the work began.
 
         Returns
         -------
@@ -140,10 +154,12 @@ class Outputs:
         """
         written: list[Path] = []
         left_out: list[LeftOut] = []
+        may_replace = force or (known_before and self.replaced is not None)
         if self.camera_yaml and result:
             written += written_or_left_out(self.camera_yaml, left_out, lambda path: (
                 write_camera_yaml(path, result.camera, self.camera_name,
-                                  _camera_comments(result, source), replace=force)))
+                                  _camera_comments(result, source),
+                                  replace=may_replace)))
         if self.result_json:
             write_json(self.result_json, result_to_json(result, self.seed))
             if not is_standard_output(self.result_json):
@@ -241,7 +257,8 @@ def _camera_comments(result: Calibration, source: str) -> list[str]:
     return [f'{result.software}: {source}' if source else result.software,
             f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
             f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
-            *varied, *_shutter_comments(result)]
+            *varied, *_shutter_comments(result),
+            *uncertainty_comment(result.camera, result.covariance)]
 
 
 def _shutter_comments(result: Calibration) -> list[str]:

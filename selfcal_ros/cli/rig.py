@@ -21,7 +21,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.colours import coloured
-from selfcal_ros.cli.force import check_outputs, make_folder
+from selfcal_ros.cli.force import check_outputs, is_made_here, make_folder, written_line
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, LeftOut, status_of
@@ -86,8 +86,12 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     chain = base.with_name(f'{base.stem}_camchain.yaml')
     of_colmap = rig_config_path(args.colmap) if args.colmap else None
     table = settings.robot and settings.robot.table
-    check_outputs((*files.values(), chain, args.mount_output), (*args.input, args.mask, table),
-                  args.force, (args.json, args.report),
+    # nobody has named them: those of an earlier run are replaced
+    own = set() if args.output else {path for path in (*files.values(), chain)
+                                     if is_made_here(path)}
+    kept = [path for path in (*files.values(), chain) if path not in own]
+    check_outputs((*kept, args.mount_output), (*args.input, args.mask, table),
+                  args.force, (*own, args.json, args.report),
                   {'--mount-output': args.mount_output, '--json': args.json,
                    '--report': args.report})
     if args.colmap is not None and args.colmap.is_file():
@@ -109,7 +113,7 @@ def run_rig(args: argparse.Namespace, settings) -> int:
                                     f'Kalibr knows: {chain} was not written.', EXIT_DONE))
         for path, camera_file in contents.items():
             written += written_or_left_out(path, left_out, partial(
-                atomic_write, data=camera_file, replace=args.force))
+                atomic_write, data=camera_file, replace=args.force or path in own))
         written += _for_colmap(of_colmap, rig_config(result), left_out)
         written += _mount_of_first(args, result, left_out)
     text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result else str(result))
@@ -127,7 +131,7 @@ def run_rig(args: argparse.Namespace, settings) -> int:
             written.append(args.json)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
-        print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
+        print(written_line(written, own))
     elif not result:
         print(result, file=sys.stderr)
     for one in left_out:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.cli.facts import FREE
+from selfcal_ros.cli.force import make_folder
 from selfcal_ros.errors import ArgumentError, InputError
 
 #: Outputs that need depth, by option.
@@ -121,6 +122,7 @@ class SceneOutputs:
 
         """
         if self.colmap:
+            make_folder(self.colmap.parent)
             from selfcal_ros.report.scene_files.colmap_model import check_colmap_folder
             check_colmap_folder(self.colmap)
         if force or _is_photographs(source):

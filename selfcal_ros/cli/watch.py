@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.shared_files import shared_file
     if find_spec('rclpy') is None:
         raise ArgumentError('selfcal watch shows what ROS nodes do, and there is no ROS in this '
-                            "Python: source ROS 2, or pip install 'selfcal_ros[ros-wheels]'.")
+                            "Python: source ROS 2, or pip install '.[ros-wheels]' in the clone.")
     if args.port is not None and not 0 <= args.port < 65536:
         raise ArgumentError(f'--port must be from 0 to 65535, not {args.port}.')
     command = [sys.executable, '-m', 'selfcal_ros.nodes.calibration_page', '--ros-args']

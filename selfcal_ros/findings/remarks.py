@@ -304,6 +304,10 @@ REMARKS: dict[str, Phrase] = {
         'in the image. The result file names all of these images.',
         'Look at these images. Where the object shows whole, more light and a steadier hand '
         'help.'),
+    'compressed_taken': Phrase(
+        'The images are those of {taken}: {asked} itself was not recorded.',
+        'They are the same images, with the losses of JPEG where that is their coding.',
+        'Nothing.'),
     'images_damaged': Phrase(
         'Damaged and left out: {count} image{count:plural}, the first is {first}. {why}.',
         'A truncated image decodes with a grey rest, in which wrong points would be found.',

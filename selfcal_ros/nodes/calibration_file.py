@@ -22,6 +22,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.file_url import path_of
+from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 
 
@@ -80,5 +81,7 @@ class CalibrationFile:
         if camera is not None and camera is not calibration.camera:
             comments.append('the sigmas are in pixels of the images, which were binned or cropped '
                             f'to {calibration.camera.width}x{calibration.camera.height}')
+        else:
+            comments += uncertainty_comment(calibration.camera, calibration.covariance)
         return write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,
                                  comments)

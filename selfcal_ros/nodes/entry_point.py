@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields
+from importlib.util import find_spec
 import os
 import signal
 import sys
@@ -149,7 +150,7 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0, or 2 when an input or a parameter is wrong.
+        Exit status: 0, or 2 when an input or a parameter is wrong, or there is no ROS.
 
     """
     signals = StopSignals()
@@ -157,6 +158,10 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     if asks_for_help(given):
         print(usage(program_name()))
         return 0
+    if find_spec('rclpy') is None:
+        print(f"{program_name()} is a ROS node, and there is no ROS in this Python: source ROS 2, "
+              "or pip install '.[ros-wheels]' in the clone.", file=sys.stderr)
+        return 2
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 

@@ -49,8 +49,8 @@ def launch_problem(values: Mapping[str, str]) -> str:
         return ('rviz:=true needs the package rviz2, which is not installed '
                 '(sudo apt install ros-jazzy-rviz2).')
     if values.get('watch', '').lower() in ('true', '1') and find_spec('tornado') is None:
-        return ("watch:=true needs Tornado: pip install 'selfcal_ros[watch]' (or sudo apt install "
-                'python3-tornado).')
+        return ("watch:=true needs Tornado: sudo apt install python3-tornado (or pip install "
+                "'.[watch]' in the clone).")
     return ''
 
 

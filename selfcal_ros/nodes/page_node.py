@@ -236,6 +236,6 @@ def _page_server():
     except ImportError as error:
         if (error.name or '').partition('.')[0] != 'tornado':
             raise
-        raise ArgumentError("The live page needs Tornado: pip install 'selfcal_ros[watch]' (or "
-                            'sudo apt install python3-tornado).') from None
+        raise ArgumentError("The live page needs Tornado: sudo apt install python3-tornado (or "
+                            "pip install '.[watch]' in the clone).") from None
     return PageServer

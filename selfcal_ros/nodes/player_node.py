@@ -63,7 +63,9 @@ class BagPlayer(Node):
         self._timer = self.create_timer(0.05, self._tick, clock=STEADY)
         self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
                                f'{self.parameters.bag}, on {self._publisher.topic_name}')
-
+        if self.parameters.wait_for_subscribers_s:
+            self.get_logger().info(f'waiting for a subscriber on {self._publisher.topic_name} '
+                                   f'({self.parameters.wait_for_subscribers_s:g} s)')
         follow(self, self._check_change, self._change)
 
     def _check_change(self, new: BagPlayerParameters):

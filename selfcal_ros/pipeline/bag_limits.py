@@ -261,3 +261,19 @@ def check_metadata(folder: Path) -> None:
     if wrong:
         raise InputError(f'{path} has {str(wrong[0])!r:.40} where it cannot be; run `ros2 bag '
                          'reindex` on the folder.')
+
+
+def is_compressed_file(path: Path) -> bool:
+    """Tell a file of a compressed bag, which cannot be read without its folder."""
+    if path.name.lower().endswith(('.db3.zstd', '.mcap.zstd', '.db3.zst', '.mcap.zst')):
+        return True
+    metadata = path.with_name('metadata.yaml')
+    if path.suffix not in ('.db3', '.mcap') or not metadata.is_file():
+        return False
+    try:
+        content = load_foreign_yaml(read_limited(metadata, _MAX_METADATA_BYTES), str(metadata))
+        mode = content['rosbag2_bagfile_information']['compression_mode']
+    except (InputError, LookupError, TypeError):
+        # a file by itself may be good where its folder's metadata are not
+        return False
+    return str(mode).lower() in ('file', 'message')

@@ -24,7 +24,9 @@ from msg_adapters.image import ImageDecoder
 from msg_adapters.stamps import stamp_ns
 
 from selfcal_ros.errors import InputError, SelfcalError
-from selfcal_ros.pipeline.bag_limits import BagLimit, bound_rosbags, check_metadata
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.pipeline.bag_limits import (BagLimit, bound_rosbags, check_metadata,
+                                             is_compressed_file)
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 
@@ -111,6 +113,7 @@ class BagSource(FrameSource):
         """Open the bag and choose the topic."""
         super().__init__(path, image_size, colour, excerpt)
         self._reader: Any = None
+        self._asked = ''
         _check_files(self.path)
         with readable(self.path):
             self._reader, self._deserialize = _opened(self.path)
@@ -138,6 +141,11 @@ class BagSource(FrameSource):
         listing = ', '.join(f'{name} ({number})' for name, number in sorted(counts.items()))
         if topic:
             wanted = [c for c in connections if c.topic in (topic, f'/{topic}')]
+            beside = [c for c in images if c.topic in (f'{topic}/compressed',
+                                                       f'/{topic}/compressed')]
+            if beside and not sum(c.msgcount for c in wanted):
+                # recorded are the same images in another coding
+                wanted, self._asked = beside, topic
             if not wanted:
                 there = f'its image topics are {listing}' if images else 'it holds no images'
                 raise InputError(f'{self.path} has no topic {topic}; {there}.')
@@ -148,6 +156,12 @@ class BagSource(FrameSource):
                                  f'not images; {there}.')
         else:
             filled = [name for name, number in counts.items() if number]
+            if counts and not filled:
+                named = ', '.join(sorted(counts))
+                raise InputError(f'{self.path} has no images: its image topic {named} holds no '
+                                 'message.' if len(counts) == 1 else
+                                 f'{self.path} has no images: its image topics {named} hold no '
+                                 'messages.')
             if not filled:
                 topics = sorted({c.topic for c in connections})
                 there = ('it holds ' + _shortened(topics)) if topics else 'it is empty'
@@ -201,6 +215,12 @@ class BagSource(FrameSource):
                 self._refuse(error, index, name, f'{self.path}, {self.topic}, {name}')
                 continue
             yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
+
+    def losses(self) -> tuple[Finding, ...]:
+        """Tell of damaged images, and of a topic that was taken in place of another."""
+        taken = (Finding('compressed_taken', asked=self._asked, taken=self.topic),
+                 ) if self._asked else ()
+        return *taken, *super().losses()
 
     def close(self) -> None:
         """Close the bag."""
@@ -335,6 +355,9 @@ def _check_files(path: Path) -> None:
         check_metadata(path)
     else:
         files = [path]
+        if is_compressed_file(path):
+            raise InputError(f'{path}: this bag is compressed; give its folder, '
+                             f'{path.absolute().parent}.')
     for file in files:
         _check_file(file)
 

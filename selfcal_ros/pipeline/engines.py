@@ -197,7 +197,8 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         from dask.distributed import Client, KilledWorker, LocalCluster
     except ImportError:
         raise ArgumentError('--engine dask needs Dask, which is not installed: pip install '
-                            '"selfcal_ros[dask]".') from None
+                            "'.[dask]' in the clone (or sudo apt install "
+                            'python3-distributed).') from None
     with ExitStack() as stack:
         if scheduler:
             client = _connected(Client, scheduler)

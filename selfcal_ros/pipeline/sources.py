@@ -24,6 +24,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.pipeline.bag_limits import is_compressed_file
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, BagSource, is_bag_folder
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.file_sources import (IMAGE_SUFFIXES, ImageFolderSource, TracksSource,
@@ -83,7 +84,7 @@ def open_source(path: str | Path, topic: str | None = None,
         missing = 'is neither a file nor a folder' if path.exists() else 'does not exist'
         raise InputError(f'{path} {missing}; {_EXPECTED}.')
     suffix = path.suffix.lower()
-    is_bag = bag or file and path.suffix in BAG_SUFFIXES
+    is_bag = bag or file and (path.suffix in BAG_SUFFIXES or is_compressed_file(path))
     if topic and not is_bag:
         raise InputError(f'{path} is no bag, so it has no topic {topic}; leave the topic out.')
     if is_bag:

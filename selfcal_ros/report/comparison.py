@@ -142,8 +142,8 @@ class Comparison:
         if self.p_value is None:
             words = 'practically the same' if most < SAME_PX else 'different'
             return (f'The calibrations are {words}: {most:.2g} px at most, which {size}. Without '
-                    'covariances nobody can say whether chance explains that; put result.json '
-                    'beside a camera file, or name it.')
+                    'covariances nobody can say whether chance explains that; camera files of '
+                    'selfcal have one, and result.json.')
         chance = f'chi2 {self.chi2:.3g} with {self.freedom} degrees of freedom, '
         chance += f'p = {self.p_value:.2g}' if self.p_value >= 1e-6 else 'p < 1e-6'
         if self.p_value < SURE:

@@ -30,6 +30,7 @@ import numpy as np
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import CameraInRig, POSE, RigCalibration
 from selfcal_ros.report.camera_files.kalibr_chain import holds, kalibr_text
+from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import ros_yaml
 from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
@@ -91,6 +92,7 @@ def rig_camera_yaml(rig: RigCalibration, name: str, source: str = '') -> str:
     if stereo is not None and rig.unit != 'm':
         comments.append('The baseline is not known in metres: state it (--baseline), and the '
                         'projection matrix has it.')
+    comments += uncertainty_comment(camera, one.covariance)
     return ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
                     camera.distortion, R, P, comments)
 
@@ -107,7 +109,7 @@ def camchain(rig: RigCalibration, topics: Mapping[str, str] | None = None) -> st
             or not all(holds(one.camera) and abs(one.camera.K[0, 1]) < 1e-12
                        for one in rig.cameras.values())):
         return None
-    text, before = '', None
+    text, before = f'# {rig.software}\n', None
     for k, (name, one) in enumerate(rig.cameras.items()):
         entry = kalibr_text(one.camera, name, (topics or {}).get(name) or f'/{name}/image_raw')
         entry = entry.replace('cam0:', f'cam{k}:', 1)

@@ -44,8 +44,8 @@ def load_rerun():
     try:
         return import_module('rerun')
     except ImportError:
-        raise ArgumentError("--view needs Rerun: pip install 'selfcal_ros[view]' (or rerun-sdk)."
-                            ) from None
+        raise ArgumentError("--view needs Rerun: pip install rerun-sdk (or '.[view]' in the "
+                            'clone).') from None
 
 
 def view(calibration: Calibration, tracks: Tracks, open_frames: Callable | None = None,

@@ -81,6 +81,29 @@ def test_compare_finds_the_covariance_beside_a_camera_file(beside, capsys):
     assert 'is not the result that zoomed.yaml comes from' in capsys.readouterr().err
 
 
+def test_compare_reads_the_covariance_out_of_the_camera_file_itself(beside, capsys):
+    stored = json.loads(Path('camera.json').read_text(encoding='utf-8'))
+    Path('camera.json').unlink()
+    write_camera_yaml('truth.yaml', beside, 'truth')
+    assert selfcal('compare', 'camera.yaml', 'truth.yaml', '--sigmas', 4, '--json', '-') == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content['parameters']['fx']['sigma'] == pytest.approx(stored['sigma']['fx'], rel=1e-6)
+    assert content['agree'] is True
+    # whoever changes a number changes the camera, which the covariance is not of
+    text = Path('camera.yaml').read_text(encoding='utf-8')
+    f = repr(stored['camera']['fx'])
+    body = text.index('image_width')
+    assert f in text[body:]
+    Path('edited.yaml').write_text(text[:body] + text[body:].replace(f, '600.5'),
+                                   encoding='utf-8')
+    assert selfcal('compare', 'edited.yaml', 'truth.yaml') == 0
+    assert 'Without covariances' in capsys.readouterr().out
+    Path('broken.yaml').write_text(text.replace('"covariance": [', '"covariance": ["x", '),
+                                   encoding='utf-8')
+    assert selfcal('compare', 'broken.yaml', 'truth.yaml') == 0
+    assert 'Without covariances' in capsys.readouterr().out
+
+
 def test_sigmas_decide_the_exit_status_and_the_picture_shows_the_difference(beside, capsys):
     truth = beside
     write_camera_yaml('truth.yaml', truth, 'truth')
@@ -173,7 +196,7 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
     (['a.yaml', 'taken.txt'], '--force'), (['a.yaml', 'b.xml', '--camera', 'cam1'], 'cam1'),
     (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
     (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),
-    (['a.yaml', 'no/folder/b.xml'], 'does not exist'),
+    (['a.yaml', 'a.yaml/folder/b.xml'], 'is not a folder'),
     (['k3.yaml', 'camchain.yaml'], 'calibrate with --lens radtan.')])
 def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments, words):
     K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]

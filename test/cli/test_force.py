@@ -45,6 +45,28 @@ def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, 
     assert 'image_width: 640' in Path('camera.yaml').read_text(encoding='utf-8')
 
 
+def test_a_camera_file_of_an_earlier_run_is_replaced_where_nobody_has_named_it(driven, capsys):
+    assert selfcal('calibrate', driven[0], *SIZE) == 0
+    assert 'Written: camera.yaml.' in capsys.readouterr().out
+    assert selfcal('calibrate', driven[0], *SIZE) == 0
+    assert 'Written: camera.yaml (replaced).' in capsys.readouterr().out
+    assert 'exists already' in refused(capsys, 'calibrate', driven[0], *SIZE, '--output',
+                                       'camera.yaml')
+
+
+def test_missing_folders_of_outputs_are_made_but_for_what_is_refused(driven, capsys):
+    assert selfcal('calibrate', driven[0], *SIZE, '-q', '--output', 'a/b/c.yaml', '--json',
+                   'r/result.json', '--report', 'p/q/report.html', '--colmap', 'm/n') == 0
+    for name in ('a/b/c.yaml', 'r/result.json', 'p/q/report.html', 'm/n/cameras.txt'):
+        assert Path(name).is_file(), name
+    assert selfcal('convert', 'a/b/c.yaml', 'sparse/0/cameras.bin') == 0
+    capsys.readouterr()
+    assert selfcal('calibrate', driven[0], *SIZE, '--output', 'x/y/c.yaml', '--json',
+                   'a/b/c.yaml/z/result.json') == 2
+    assert 'is not a folder' in capsys.readouterr().err
+    assert not Path('x').exists()
+
+
 def test_a_camera_file_that_another_run_makes_meanwhile_is_kept_and_told(driven, capsys,
                                                                          monkeypatch):
     work = calibrate_input.calibrate_input

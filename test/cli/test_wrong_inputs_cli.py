@@ -65,7 +65,7 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['hollow'], 'hollow is empty'),
     (['empty.csv'], 'empty.csv'),
     (['nan.csv'], 'line 2'),
-    (['good.csv', '--output', 'no/such/folder/camera.yaml'], 'does not exist'),
+    (['good.csv', '--output', 'good.csv/such/camera.yaml'], 'is not a folder'),
     (['good.csv', '--json', 'camera.yaml'],
      '--output and --json have the same name, camera.yaml; give each its own file.'),
     (['good.csv', '--output', 'hollow/../good.csv'], 'is the input good.csv'),

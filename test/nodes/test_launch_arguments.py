@@ -42,7 +42,7 @@ def test_a_launch_looks_at_its_arguments_first(monkeypatch, tmp_path):
     monkeypatch.setattr(launch_arguments, 'is_installed', lambda package: True)
     assert launch_problem({**fine, 'rviz': 'true'}) == ''
     monkeypatch.setattr(launch_arguments, 'find_spec', lambda package: None)
-    assert "pip install 'selfcal_ros[watch]'" in launch_problem({**fine, 'watch': 'true'})
+    assert "pip install '.[watch]' in the clone" in launch_problem({**fine, 'watch': 'true'})
     assert launch_problem(fine) == ''
 
 

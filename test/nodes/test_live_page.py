@@ -241,7 +241,7 @@ def test_the_command_serves_the_nodes_of_other_processes_until_it_is_stopped(gra
 def test_without_ros_the_command_says_so(monkeypatch, capsys):
     monkeypatch.setattr(watch, 'find_spec', lambda name: None)
     assert main(['watch']) == 2
-    assert "pip install 'selfcal_ros[ros-wheels]'" in capsys.readouterr().err
+    assert "pip install '.[ros-wheels]' in the clone" in capsys.readouterr().err
     monkeypatch.undo()
     assert main(['watch', '--port', '70000']) == 2
     assert '--port must be from 0 to 65535' in capsys.readouterr().err

@@ -148,3 +148,28 @@ def test_a_wrong_input_is_one_sentence_and_status_2(start, name, arguments, word
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 2, errors
     assert words in errors and 'Traceback' not in errors
+
+
+@pytest.mark.parametrize('name', ['feature_tracker', 'planar_calibrator', 'affine_calibrator',
+                                  'rorapid_tracker', 'bag_player', 'camera_info_publisher',
+                                  'calibration_page', 'composition'])
+def test_without_ros_a_node_says_so_in_one_sentence(tmp_path, name):
+    # a Python in which nobody finds rclpy
+    (tmp_path / 'sitecustomize.py').write_text(
+        'import sys\n'
+        'class Hidden:\n'
+        '    def find_spec(self, name, path=None, target=None):\n'
+        "        if name.partition('.')[0] == 'rclpy':\n"
+        '            raise ModuleNotFoundError(name)\n'
+        'import importlib.util as util\n'
+        'plain = util.find_spec\n'
+        "util.find_spec = lambda name, *rest: (None if name == 'rclpy' else plain(name, *rest))\n"
+        'sys.meta_path.insert(0, Hidden())\n')
+    found = subprocess.run(
+        [sys.executable, '-m', f'selfcal_ros.nodes.{name}'], capture_output=True, text=True,
+        timeout=60, check=False, env={**os.environ, 'PYTHONPATH': os.pathsep.join(
+            [str(tmp_path), os.environ['PYTHONPATH']])})
+    assert found.returncode == 2, found.stderr
+    assert found.stderr == (
+        f'{name} is a ROS node, and there is no ROS in this Python: source ROS 2, or pip install '
+        "'.[ros-wheels]' in the clone.\n")

@@ -24,7 +24,7 @@ from msg_adapters.stamps import header_message
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.bag_writer import write_image_bag
@@ -112,6 +112,30 @@ def test_compressed_images(tmp_path, storage, codec, tolerance):
             assert frame.bgr is None   # it has no colours
 
 
+def test_the_name_of_a_topic_finds_its_compressed_images(tmp_path):
+    write_image_bag(tmp_path / 'bag', frames(), TOPIC, compressed='png')
+    with open_source(tmp_path / 'bag', topic=TOPIC) as source:
+        assert source.topic == TOPIC + '/compressed'
+        assert 'compressed_taken' in [one.kind for one in source.losses()]
+    with open_source(tmp_path / 'bag', topic=TOPIC + '/compressed') as source:
+        assert not source.losses()
+
+
+@pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_file_of_a_compressed_bag_needs_its_folder(tmp_path, mode):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(TOPIC, IMAGE, typestore=store)
+        for stamp, image in enumerate(images()):
+            writer.write(connection, stamp, store.serialize_cdr(message(image), IMAGE))
+    with open_source(tmp_path / 'bag') as source:
+        assert sum(1 for _ in source) == 6
+    file = next(one for one in (tmp_path / 'bag').iterdir() if one.name != 'metadata.yaml')
+    assert f'compressed; give its folder, {tmp_path / "bag"}.' in refusal(file)
+
+
 def test_ros1_bag(tmp_path):
     store = get_typestore(Stores.ROS1_NOETIC)
     types = rosbags_types(store)
@@ -161,6 +185,8 @@ def test_the_choice_of_the_topic(tmp_path):
         assert source.topic == '/left'
     without = write_bag(tmp_path / 'no', [('/chatter', 'std_msgs/msg/String', 4, text)])
     assert 'has no images' in refusal(without) and '/chatter' in refusal(without)
+    empty = write_bag(tmp_path / 'empty', [('/none', IMAGE, 5, None)])
+    assert 'its image topic /none holds no message' in refusal(empty)
     assert 'holds no images' in refusal(without, topic='/nope')
 
 

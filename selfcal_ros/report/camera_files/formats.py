@@ -31,6 +31,7 @@ from selfcal_ros.report.camera_files.mrcal_model import is_mrcal, mrcal_text, pa
 from selfcal_ros.report.camera_files.opencv_storage import (is_opencv, OPENCV_MODELS, opencv_text,
                                                             parse_opencv)
 from selfcal_ros.report.camera_files.stored import StoredCamera
+from selfcal_ros.report.camera_uncertainty import stored_uncertainty
 from selfcal_ros.report.camera_yaml import (camera_from_document, camera_yaml, is_kalibr,
                                             ROS_MODELS)
 from selfcal_ros.report.result_json import result_from_dict
@@ -128,7 +129,7 @@ def read_cameras(path, *, fisheye: bool = False,
     if is_kalibr(document):
         return 'kalibr', parse_kalibr(document, source)
     camera, name = camera_from_document(document, source)
-    return 'ros', [StoredCamera(camera, name)]
+    return 'ros', [StoredCamera(camera, name, covariance=stored_uncertainty(text, camera))]
 
 
 def read_camera(path, which: str | None = None, option: str = '--camera',
