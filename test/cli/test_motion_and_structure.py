@@ -152,7 +152,7 @@ def test_a_camera_that_only_rotates_is_calibrated_as_such(capsys):
     (['--poses', 'a.tum', '--ply', 'a.tum'], 'same name'),
     (['--transforms', 't.json'], 'has none; leave it out'),
     (['--colmap', 'tracks.csv'], 'takes the name of a folder'),
-    (['--colmap', 'tracks.csv/model'], 'is not a folder'),
+    (['--colmap', 'tracks.csv/model'], 'tracks.csv is a file'),
     (['--colmap', 'm', '--skew', 'free'], 'no place for skew'),
     (['--colmap', 'm', '--motion', 'rotation'], 'a camera that only rotates sees none'),
     (['--colmap', 'm', '--motion', 'repeated'], 'are in one'),

@@ -70,7 +70,7 @@ def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
     ([BAG, *OBJECT, '--camera', 'small.yaml'], '480x360, the calibration is for 320x240'),
     ([BAG, *OBJECT, *CAMERA, '--overlay', 'video.txt'], '.mp4'),
     ([BAG, *OBJECT, *CAMERA, '--output', 'v.mp4', '--overlay', 'v.mp4'], 'same name'),
-    ([BAG, *OBJECT, *CAMERA, '--output', 'tracks.csv/p.csv'], 'is not a folder'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'tracks.csv/p.csv'], 'tracks.csv is a file'),
     ([BAG, *OBJECT, *CAMERA, '--camera-model', 'affine', '--motion', 'planar'], 'affine'),
     (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])
 def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
