@@ -42,7 +42,7 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
 from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
-from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
+from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, ShutterDecision
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
                                                                near_state, settle_zoom,
                                                                zoomed_fit, zooming)
@@ -140,40 +140,26 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         No estimate where it does not turn, or nothing to start with is found.
 
     """
-    fit = turning.lens.fit
-    state = fit.state
-    if state.lens.model.is_perspective:
-        state = with_lens(state, fit.observations.xy, 'plumb_bob')
-    rotations = _of_all_views(problem, graph, turning, state)
+    turned = turning.lens.fit.state
+    if turned.lens.model.is_perspective:
+        turned = with_lens(turned, turning.lens.fit.observations.xy, 'plumb_bob')
+    rotations = _of_all_views(problem, graph, turning, turned)
     if rotations is None:
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
+    found = _turning_fit(problem, turning, turned)
+    if isinstance(found, NoEstimate):
+        return found
+    problem, medium, shutter = found
     window = problem.window()
-    moved = NoEstimate('moved_not_rotated', left_px=turning.left_px, noise_px=problem.noise_px)
-    is_no_rotation = turning.left_px > HOPELESS * problem.noise_px
-    start = best_pivot_start(window, state, FAR_LEVER if is_no_rotation else np.inf)
-    if isinstance(start, NoEstimate):
-        return start
-    if is_no_rotation and _lever_share(start) > FAR_LEVER:
-        return moved
-    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
-    standing = with_all_points(start, medium)
-    if standing is None:
-        return NoEstimate('start_distortion_not_invertible')
-    fit = first_fit(window, medium, standing)
-    if is_no_rotation and _is_hopeless(fit, problem):
-        zoomed = _zoomed_fit(fit, zooming(window), medium, state) if may_zoom(window) else fit
-        if _is_hopeless(zoomed, problem):
-            return moved.saying(left_px=fit.bundle.sigma_px)
-        problem, window, fit = zooming(problem), zooming(window), zoomed
-    shutter = choose_shutter(fit, medium, window.facts, window.size)
-    fit = shutter.fit
-    mixed = of_two_cameras(fit, window, graph)
+    mixed = of_two_cameras(shutter.fit, window, graph)
     if mixed is not None:
         return mixed
-    if contradicted(fit, window):
+    if contradicted(shutter.fit, window):
         problem, window = zooming(problem), zooming(window)
-        fit = _zoomed_fit(fit, window, medium, state)
+        shutter = choose_shutter(_zoomed_fit(shutter.fit, window, medium, turned), medium,
+                                 window.facts, window.size)
+    fit = shutter.fit
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
     model = shutter.widened(
@@ -190,6 +176,30 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / variance_inflation,
         free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
+
+
+def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: SceneState,
+                 ) -> tuple[SelfCalibrationProblem, Observations, ShutterDecision] | NoEstimate:
+    """Fit the medium tracks by turns about a point; where it must, the focal length varies."""
+    window = problem.window()
+    moved = NoEstimate('moved_not_rotated', left_px=turning.left_px, noise_px=problem.noise_px)
+    is_no_rotation = turning.left_px > HOPELESS * problem.noise_px
+    start = best_pivot_start(window, turned, FAR_LEVER if is_no_rotation else np.inf)
+    if isinstance(start, NoEstimate):
+        return start
+    if is_no_rotation and _lever_share(start) > FAR_LEVER:
+        return moved
+    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
+    standing = with_all_points(start, medium)
+    if standing is None:
+        return NoEstimate('start_distortion_not_invertible')
+    fit = first_fit(window, medium, standing)
+    if is_no_rotation and _is_hopeless(fit, problem):
+        zoomed = _zoomed_fit(fit, zooming(window), medium, turned) if may_zoom(window) else fit
+        if _is_hopeless(zoomed, problem):
+            return moved.saying(left_px=fit.bundle.sigma_px)
+        problem, fit = zooming(problem), zoomed
+    return problem, medium, choose_shutter(fit, medium, window.facts, window.size)
 
 
 def _is_hopeless(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
