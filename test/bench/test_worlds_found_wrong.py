@@ -57,6 +57,13 @@ def test_a_view_that_is_off_by_itself_on_rough_ground_is_no_body():
     assert result and 'tracks_moving' not in [one.kind for one in result.findings]
 
 
+def test_rows_that_are_read_in_turn_are_no_things_that_move():
+    result, worst = calibrated('gen_rs16', 901)
+
+    assert result.shutter.status == 'estimated' and worst < MAX_SIGMAS
+    assert not {'tracks_moving', 'tracks_jump'} & {one.kind for one in result.findings}
+
+
 def test_a_wrong_aspect_ratio_that_the_images_hardly_doubt_is_told():
     """Nothing was said of it, 9.7 sigma off."""
     result, _ = calibrated('agv_asp1.03', 13017)

@@ -131,9 +131,13 @@ class Observations:
         The first and the last view have neighbours on one side alone, unless a video goes on
         there: then only the few nearest to the middle row, which give the view a pose.
         """
-        if self.clock is None:
-            return self
+        return self if self.clock is None else self.select(self.surely_timed_rows())[0]
+
+    def surely_timed_rows(self) -> np.ndarray:
+        """Mark those observations, shape (N,)."""
         keep = np.ones(len(self.view), bool)
+        if self.clock is None:
+            return keep
         for end in (0, len(self.clock.times) - 1):
             rows = np.flatnonzero(self.view == end)
             if self.neighbours is not None and followed(self.neighbours[rows]).sum() >= (
@@ -141,7 +145,7 @@ class Observations:
                 continue
             late = np.abs(self.clock.delays(self.xy[rows]))
             keep[rows[np.argsort(late)[AT_ENDS:]]] = False
-        return self.select(keep)[0]
+        return keep
 
     def displaced(self, state: SceneState) -> Observations:
         """Renew the displacements by the rows' delay, where it is estimated."""

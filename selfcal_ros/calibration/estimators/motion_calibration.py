@@ -46,7 +46,8 @@ from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_
                                                                of_two_cameras, problem_of)
 from selfcal_ros.calibration.estimators.parted_tracks import (
     calibrate_coherent_tracks, calibrate_sorted, calibrate_still_tracks, MANY_REJECTED)
-from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, may_be_rolling
+from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
+                                                               ShutterDecision)
 from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
 from selfcal_ros.calibration.estimators.turning_stretch import turned_about
 from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
@@ -273,13 +274,14 @@ class _Attempt:
         first = self._first_fit(state)
         if isinstance(first, NoEstimate):
             return first
+        shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
         if self.window.views == self.problem.views:
-            # before what moves is taken for a shutter or a zoom
-            still = calibrate_still_tracks(first, self.medium, self.problem, self.graph,
+            # before what moves is taken for a zoom; rows read in turn move tracks, too
+            still = calibrate_still_tracks(shutter.fit, self.medium, self.problem, self.graph,
                                            _attempt_any_focal)
             if still is not None:
                 return still
-        return self._from(first, left)
+        return self._from(first, shutter, left)
 
     def _start(self) -> tuple[SceneState, NoEstimate | None] | NoEstimate:
         """Return a start, and what it leaves unexplained if that may be rows read in turn."""
@@ -322,10 +324,10 @@ class _Attempt:
             return not_planar(out_of_plane_rad(fit.state.path))
         return fit
 
-    def _from(self, first: RobustFit, left: NoEstimate | None) -> Calibration | NoEstimate:
-        """Go on from a first fit: shutter, two cameras, zoom, model, all views, tests."""
+    def _from(self, first: RobustFit, shutter: ShutterDecision,
+              left: NoEstimate | None) -> Calibration | NoEstimate:
+        """Go on from a first fit and its shutter: two cameras, zoom, model, all views, tests."""
         window = self.window
-        shutter = choose_shutter(first, self.medium, window.facts, window.size)
         fit = shutter.fit
         if left is not None and fit.observations.shutter is None:
             return left

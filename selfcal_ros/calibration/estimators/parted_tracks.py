@@ -31,14 +31,16 @@ from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
+from selfcal_ros.calibration.estimators.shutter_choice import timed
 from selfcal_ros.calibration.estimators.zoom_selection import may_zoom, near_state, zoomed_fit
 from selfcal_ros.calibration.initialisation.multi_start import GOOD_ENOUGH
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
-                                                    hides_body, moving_findings, sort_tracks,
-                                                    SortedTracks, stands_out, tested_as_still)
+                                                    hides_body, moving_findings, observed_like,
+                                                    sort_tracks, SortedTracks, stands_out,
+                                                    tested_as_still)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -61,11 +63,10 @@ def calibrate_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCal
                            graph: ViewGraph, calibrate_path: CalibratePath) -> Calibration | None:
     """Calibrate from what stands still, where something that moves or jumps is found."""
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
-    if (graph.given is None or not problem.instants or fit.motion.zoom is not None
-            or fit.observations.shutter is not None):
+    if graph.given is None or not problem.instants or fit.motion.zoom is not None:
         return None
     given = graph.given.in_frames(frames)
-    observations = Observations.of(given, given.frames)
+    observations = observed_like(fit, given, given.frames)
     test = tested_as_still(fit, observations)
     if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
         return calibrate_sorted(fit, problem, graph, calibrate_path) or None
@@ -105,8 +106,8 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
     # what is explained is no outlier, and has no vote any more
     rest = replace(graph, tracks=sorted_tracks.static, given=None,
                    rejected=sorted_tracks.contradicting)
-    observations = replace(observations_of(rest.tracks, rest.frames),
-                           clock=problem.observations.clock)
+    observations = timed(observations_of(rest.tracks, rest.frames), rest.tracks, rest.frames,
+                         problem.size, problem.facts)
     # a zoom moves tracks, too: where the still ones ask for it, all of them are to tell
     result = calibrate_path(replace(problem, observations=observations, of_still=True), rest,
                             [still.state.camera(*problem.size)], still)

@@ -106,7 +106,7 @@ class RigidBody:
         within, points = observations.select(inside)
         if not len(points):
             return None
-        within = replace(within, view=np.searchsorted(self.views, within.view))
+        within = replace(within, view=np.searchsorted(self.views, within.view), shutter=None)
         test = judge_tracks(self.bundle, self.state, within, spread)
         return None if test is None else (test, points)
 
@@ -137,6 +137,8 @@ def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
         Indices of the tracks that it explains.
 
     """
+    # a body has a path of its own, which says how far its rows are displaced: little, mostly
+    observations = replace(observations, shutter=None)
     left = np.arange(len(observations.track))
     for _ in range(most):
         rest, places = observations.select(np.isin(observations.point, left))

@@ -112,6 +112,13 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
         See `tested_as_still`.
 
     """
+    found = fit.observations
+    if found.shutter is not None:
+        # at the ends of the path all but a few were left out, and none of them was rejected
+        ends = given.frames[[0, -1]]
+        given, agreeing = (some.select(~np.isin(some.frame, ends)) for some in (given, agreeing))
+        tried, found = (some.select((some.view > 0) & (some.view < len(fit.state.path) - 1), 1)[0]
+                        for some in (tried, found))
     names, length = np.unique(given.track, return_counts=True)
     if not len(names):
         return False
@@ -119,7 +126,7 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     some, count = np.unique(agreeing.track, return_counts=True)
     kept[np.searchsorted(names, some)] = count
     kept[np.searchsorted(names, tried.track)] = 0
-    kept[np.searchsorted(names, fit.observations.track)] = np.bincount(fit.observations.point)
+    kept[np.searchsorted(names, found.track)] = np.bincount(found.point)
     long = length >= LONG
     lost = long & (2 * kept < length)
     share = length[lost].sum() / max(length[long].sum(), 1)
@@ -151,7 +158,7 @@ def hides_body(fit: RobustFit, observations: Observations, test: TrackTest,
 
 def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> float:
     """Share of some tracks that are still points by a fit; zero where none is judged."""
-    observations = Observations.of(given, given.frames)
+    observations = observed_like(fit, given, given.frames)
     test = tested_as_still(fit, observations)
     if test is None:
         return 0.0
@@ -172,6 +179,26 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
     moving = labels.track[labels.label >= MOVING]
     return (explained_share(fine, given, labels.track[labels.label == STATIC]) > ALL
             and (not len(moving) or explained_share(fine, given, moving) > MOST_MOVING))
+
+
+def observed_like(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> Observations:
+    """
+    Index tracks as a fit does that is to judge them; frames (V,) are its views.
+
+    Where their rows are read in turn, those are left out of which it is open when they were read.
+    """
+    observations = Observations.of(tracks, frames)
+    if fit.observations.shutter is None:
+        return observations
+    return _read_like(fit, observations).surely_timed().read_in_rows()
+
+
+def _read_like(fit: RobustFit, observations: Observations) -> Observations:
+    """Add when views were taken, and where points were just before and after, as a fit has it."""
+    clock, beside = fit.observations.clock, observations.neighbours
+    beside = (None if beside is None or clock is None or fit.observations.neighbours is None
+              else beside * [1, 1, 1 / clock.unit])
+    return replace(observations, clock=clock, neighbours=beside)
 
 
 def tested_as_still(fit: RobustFit, observations: Observations) -> TrackTest | None:
@@ -215,8 +242,8 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
         None where they do not stand by themselves.
 
     """
-    tracks = tracks.select(np.isin(tracks.frame, frames)).with_at_least(2)
-    observations = Observations.of(tracks, frames)
+    tracks, untimed = _timed_alone(fit, tracks.in_frames(frames).with_at_least(2), frames)
+    observations = observed_like(fit, tracks, frames)
     identity, point = observations.track, observations.point
     label = np.full(len(identity), -1)
     test = judge_tracks(fit.bundle, fit.state, observations)
@@ -244,21 +271,38 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
     doubtful = np.flatnonzero((label == UNEXPLAINED) & test.tested)
     cut.update(_jumps(fit, observations, doubtful, VERIFYING_VIEWS - 1))
     agrees = test.agrees & (label[point] == STATIC)
-    parts = [tracks.select(agrees)]
+    parts = [tracks.select(agrees), untimed.select(
+        np.isin(untimed.track, identity[label == STATIC]))]
     later = int(identity.max()) + 1
     for place, (rows, second) in cut.items():
         label[place] = JUMPED
         track = tracks.track[rows] * ~second + (later + place) * second
-        parts.append(Tracks(tracks.frame[rows], track, tracks.xy[rows]))
-    static = Tracks(np.concatenate([one.frame for one in parts]),
-                    np.concatenate([one.track for one in parts]),
-                    np.concatenate([one.xy for one in parts]), tracks.image_size,
-                    tracks.stamps_ns).with_at_least(2)
+        parts.append(Tracks(tracks.frame[rows], track, tracks.xy[rows], neighbours=(
+            None if tracks.neighbours is None else tracks.neighbours[rows])))
+    static = _together(parts).with_at_least(2)
     final = _fitted(fit, static, frames)
     known = label[point] >= UNCLEAR
     return None if final is None else (SortedTracks(
         TrackLabels(identity, label, bodies), static, np.bincount(point, minlength=len(label)),
         int(np.sum(~known & ~test.agrees)), _still_share(observations, label)), final)
+
+
+def _timed_alone(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> tuple[Tracks, Tracks]:
+    """Split tracks into what can be judged by a fit, and what it leaves out as hardly timed."""
+    if fit.observations.shutter is None:
+        return tracks, tracks.select(np.zeros(len(tracks.frame), bool))
+    timed = _read_like(fit, Observations.of(tracks, frames)).surely_timed_rows()
+    return tracks.select(timed).with_at_least(2), tracks.select(~timed)
+
+
+def _together(parts: list[Tracks]) -> Tracks:
+    """Join tracks of one recording, of which the first say what image and stamps they have."""
+    first = parts[0]
+    frame, track, xy = (np.concatenate([getattr(one, name) for one in parts])
+                        for name in ('frame', 'track', 'xy'))
+    beside = (None if first.neighbours is None else np.concatenate(
+        [one.neighbours for one in parts if one.neighbours is not None]))
+    return Tracks(frame, track, xy, first.image_size, first.stamps_ns, neighbours=beside)
 
 
 def _still_share(observations: Observations, label: np.ndarray) -> float:
@@ -297,6 +341,8 @@ def moving_findings(labels: TrackLabels, length: np.ndarray,
 def _fitted(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> RobustFit | None:
     """Fit other tracks from where a fit stands."""
     observations = observations_of(tracks, frames)
+    if fit.observations.shutter is not None:
+        observations = _read_like(fit, observations).read_in_rows()
     if len(np.unique(observations.view)) < len(frames):
         return None
     state = with_all_points(fit.state, observations)
@@ -366,7 +412,10 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
         return {}
     row, piece, owner = np.concatenate(rows), np.concatenate(part), np.array(which)
     halves = Observations(observations.view[row], piece, observations.xy[row],
-                          np.arange(2 * len(owner)))
+                          np.arange(2 * len(owner)), observations.clock,
+                          observations.shutter and observations.shutter.select(row),
+                          None if observations.neighbours is None
+                          else observations.neighbours[row])
     test = judge_tracks(fit.bundle, fit.state, halves)
     if test is None:
         return {}

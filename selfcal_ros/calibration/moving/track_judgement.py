@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import (Observations, OUTLIER_SIGMAS,
                                                        with_all_points)
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.distributions import chi2_isf, chi2_sf
 
@@ -89,7 +90,7 @@ def judge_tracks(bundle: Bundle, state: SceneState, observations: Observations,
     state : SceneState
         Its poses and lens are held.
     observations : Observations
-        Of the tracks.
+        Of the tracks; read in rows, those rows are displaced as the state's path moves.
     spread : float
         Variance of the sum over a track over that of independent errors, at most.
 
@@ -102,9 +103,12 @@ def judge_tracks(bundle: Bundle, state: SceneState, observations: Observations,
     placed = with_all_points(state, observations)
     if placed is None:
         return None
+    model = bundle.model
+    if isinstance(model, SceneModel):
+        model = replace(model, shutter=observations.displaced(placed).shutter)
     # an adjustment counts the views that it is given
     state = replace(placed, path=placed.path.of_views(np.arange(observations.view.max() + 1)))
-    own = Bundle(bundle.model, observations.view, observations.point, observations.xy,
+    own = Bundle(model, observations.view, observations.point, observations.xy,
                  priors=bundle.priors, sigma_px=bundle.sigma_px)
     state = own.refine_points(state)
     distance = np.linalg.norm(own.residuals(state), axis=1) / bundle.sigma_px
