@@ -23,6 +23,7 @@ from string import Formatter
 
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, Suggestion
 from selfcal_ros.findings.closed_forms import CLOSED_FORMS
 from selfcal_ros.findings.finding import Finding, KINDS
 from selfcal_ros.findings.mounting import MOUNTING
@@ -168,6 +169,13 @@ def test_the_front_tells_kind_values_and_further_findings_apart():
                                   'and to the right would bring fx to ± 1.5, cx to ± 20 (from '
                                   'the Fisher information).')
     assert str(result) == f'Not calibrated: {result.reason} {result.advice}'
+
+
+def test_no_sigma_is_promised_of_a_camera_that_is_open():
+    best = Suggestion('s_45', {'fx': 0.0084, 'fy': 0.0084}, 0.1)
+    known, needed = (best_motion([best], ('fx', 'fy'), is_open)[0] for is_open in (False, True))
+    assert '± 0.0084' in known.sentence
+    assert needed.sentence.endswith('would determine fx and fy.') and '±' not in needed.sentence
 
 
 @pytest.mark.parametrize('text, values, said', [

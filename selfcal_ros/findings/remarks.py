@@ -162,6 +162,11 @@ REMARKS: dict[str, Phrase] = {
         'Fisher information).',
         'The motion was simulated with this camera, this noise and these depths.',
         'Drive or turn so, and calibrate from all images.'),
+    'motion_needed': Phrase(
+        '{images} more images in which you {motion:motion} would determine {names:and}.',
+        'The motion was simulated with this noise and these depths. How well it would do is not '
+        'said: the camera is not known yet.',
+        'Drive or turn so, and calibrate from all images.'),
     'pairs_degenerate': Phrase(
         '{left_out} of {pairs} image pairs were degenerate and left out.',
         'Pairs without parallax or rotation say nothing of the fixed points.',
@@ -385,8 +390,8 @@ REMARKS: dict[str, Phrase] = {
         'Most of the image stands still, and so looks like a video. The rest does not.',
         'Nothing; smaller steps give more points.'),
     'static_tracks': Phrase(
-        "{tracks} tracks stay still in the image while the scene moves (dirt, the robot's body); "
-        "they were dropped.",
+        'Dropped: {tracks} track{tracks:plural} that stood still in the image while the scene '
+        "moved (dirt, the robot's body).",
         'What moves with the camera says nothing of the scene. Neither does the background of a '
         'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
@@ -397,7 +402,7 @@ REMARKS: dict[str, Phrase] = {
         'slides along the scene, would mislead.',
         'Nothing; a mask cuts the part out exactly.'),
     'tracks_contradictory': Phrase(
-        '{tracks} tracks that contradicted themselves were dropped.',
+        'Dropped as contradictory: {tracks} track{tracks:plural}.',
         'Chains of matches came back to the same image at another place.',
         'Nothing; many of them mean a repeated pattern.'),
     'positions_unregistered': Phrase(

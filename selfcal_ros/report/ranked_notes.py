@@ -43,10 +43,11 @@ _WIDER = ('errors_within_track', 'errors_within_region', 'errors_within_segment'
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
           'lever_not_excluded', 'circular_motion', 'not_exactly_planar',
           'frames_turned_estimated', 'rolling_shutter', 'rolling_shutter_unstamped',
-          'rolling_shutter_stated', 'tracks_moving', 'motion_suggestion')
+          'rolling_shutter_stated', 'tracks_moving', 'motion_suggestion', 'motion_needed')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_thinned', 'division_model', 'tracks_contradictory',
          'positions_unregistered', 'positions_contradictory', 'keyframes_chosen', 'views_used',
+         'compressed_taken',
          'image_circle', 'static_matches', 'still_tracks', 'static_tracks', 'static_region',
          'pairs_degenerate', 'object_seen', 'object_followed', 'translation_groups',
          'too_fast_to_follow', 'tracks_jump', 'turning_left_out')

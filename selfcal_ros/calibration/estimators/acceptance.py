@@ -103,10 +103,10 @@ class _Optimum:
         """The parameters of K that the images leave open."""
         return tuple(name for name in MATRIX_PARAMETERS if self.status[name] == 'unobservable')
 
-    def motion_for(self, names: tuple[str, ...]) -> tuple[Finding, ...]:
-        """Tell which motion would determine these parameters."""
+    def motion_for(self, names: tuple[str, ...], is_open: bool = False) -> tuple[Finding, ...]:
+        """Tell which motion would determine these parameters, of a camera known or open."""
         return best_motion(suggest_motions(self.model.fit, self.problem.size, names,
-                                           self.model.fraction), names)
+                                           self.model.fraction), names, is_open)
 
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
@@ -161,7 +161,7 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
         status = {name: 'held' if name in found.held else 'unobservable' for name in status}
     names = missing or tuple(n for n in ('fx', 'cx', 'cy') if n not in found.held)
     return found.path.explain(missing, found.problem.facts).saying(
-        status=status, further=found.motion_for(names))
+        status=status, further=found.motion_for(names, is_open=True))
 
 
 def _centre_of_circle(found: _Optimum) -> NoEstimate | None:

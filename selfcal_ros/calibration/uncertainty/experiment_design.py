@@ -131,11 +131,18 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
     return rank(_anyhow(state.path), replace(GENERAL, zoom=zoom))
 
 
-def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, ...]:
-    """Tell the best one; nothing where none would determine the parameters."""
+def best_motion(suggestions: list[Suggestion], names: tuple,
+                is_open: bool = False) -> tuple[Finding, ...]:
+    """
+    Tell the best one; nothing where none would determine the parameters.
+
+    Where the camera is open so far, a sigma of the future would be that of no camera.
+    """
     if not suggestions or not suggestions[0].worst_share < 1:
         return ()
     best = suggestions[0]
+    if is_open:
+        return (Finding('motion_needed', images=VIEWS, motion=best.motion, names=list(names)),)
     return (Finding('motion_suggestion', images=VIEWS, motion=best.motion,
                     sigma={name: best.sigma[name] for name in names}),)
 
