@@ -17,8 +17,8 @@ from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
-from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.mounts.words import mount_lines
+from selfcal_ros.report.phrases import open_parameters
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
@@ -112,7 +112,6 @@ def _verdict(result: Calibration) -> str:
     """Say in a sentence what was found, and how good it is."""
     camera = result.camera
     share = 100 * result.sigma['fx'] / camera.K[0, 0]
-    weak = tuple(name for name, status in result.status.items() if status == 'unobservable')
     views = f'{len(result.frames)} view{"s" if len(result.frames) != 1 else ""}'
     scene = ('of a known object' if result.motion == 'known-object'
              else f'under {result.motion} motion')
@@ -120,6 +119,4 @@ def _verdict(result: Calibration) -> str:
                 f'± {share:.2g} %, reprojection '
                 f'{result.reprojection_rms_px:.3f} px rms over {result.observation_count} '
                 f'observations ({result.outlier_count} rejected).')
-    if weak:
-        sentence += f' {Finding("parameters_unobservable", missing=weak)}'
-    return sentence
+    return ' '.join((sentence, *open_parameters(result)))

@@ -212,6 +212,12 @@ REMARKS: dict[str, Phrase] = {
         'The sigmas of these parameters exceed the limits beyond which a parameter counts as '
         'unobservable.',
         'State the parameter as a fact, or record a motion that shows it.'),
+    'coefficients_open': Phrase(
+        'The images do not tell {missing:and} apart from the other coefficients of the lens.',
+        'Several sets of coefficients bend the image alike. What they do together is known where '
+        'the images reach, and its covariance is in the result.',
+        'Nothing, where all coefficients are used together. Else name a lens with fewer '
+        '(--lens).'),
     'field_of_view': Phrase(
         'The horizontal field of view is {angle_deg:measured} degrees.',
         'It follows from the camera and its covariance.',

@@ -22,6 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.values.measured_digits import with_sigma
 
@@ -75,10 +76,17 @@ def verdict(result: Calibration) -> str:
     source = ('a known object' if result.motion == 'known-object'
               else f'{result.motion} motion')
     sentence = f'Calibrated from {source}: {", ".join(map(" = ".join, words)) or "in part"}.'
-    weak = tuple(name for name, status in result.status.items() if status == 'unobservable')
-    if weak:
-        sentence += f' {Finding("parameters_unobservable", missing=weak)}'
-    return sentence
+    return ' '.join((sentence, *open_parameters(result)))
+
+
+def open_parameters(result: Calibration) -> list[str]:
+    """Say in sentences which parameters the images leave open, if there are such."""
+    weak = [name for name, status in result.status.items() if status == 'unobservable']
+    of_matrix = [name for name in weak if name in MATRIX_PARAMETERS]
+    of_lens = [name for name in weak if name not in MATRIX_PARAMETERS]
+    findings = [Finding(kind, missing=names) for kind, names in (
+        ('parameters_unobservable', of_matrix), ('coefficients_open', of_lens)) if names]
+    return [str(finding) for finding in findings]
 
 
 def parameter_rows(result: Calibration) -> list[Row]:

@@ -271,6 +271,12 @@ def test_what_is_not_determined_is_not_given_a_sigma(calibration):
     assert row.status == 'unobservable' and row.sigma == 'not determined'
 
 
+def test_coefficients_that_are_not_told_apart_need_no_fact(calibration):
+    status = {**calibration.status, 'k1': 'unobservable', 'k2': 'unobservable'}
+    sentence = verdict(replace(calibration, status=status))
+    assert 'do not tell k1 and k2 apart' in sentence and 'fact' not in sentence
+
+
 def test_field_of_view_and_its_sigma(calibration):
     rows = [row for row in parameter_rows(replace(
         calibration, camera=type(calibration.camera)(calibration.camera.K, width=800, height=600),
