@@ -112,11 +112,12 @@ def _verdict(result: Calibration) -> str:
     """Say in a sentence what was found, and how good it is."""
     camera = result.camera
     share = 100 * result.sigma['fx'] / camera.K[0, 0]
+    known = f'± {share:.2g} %' if share < 100 else '(sigma unknown)'
     views = f'{len(result.frames)} view{"s" if len(result.frames) != 1 else ""}'
     scene = ('of a known object' if result.motion == 'known-object'
              else f'under {result.motion} motion')
     sentence = (f'Calibrated from {views} {scene}: focal length {camera.K[0, 0]:.1f} px '
-                f'± {share:.2g} %, reprojection '
+                f'{known}, reprojection '
                 f'{result.reprojection_rms_px:.3f} px rms over {result.observation_count} '
                 f'observations ({result.outlier_count} rejected).')
     return ' '.join((sentence, *open_parameters(result)))
