@@ -36,7 +36,8 @@ from selfcal_ros.calibration.bundle.shutter import LINE_DELAY, pace_doubt
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.row_readout import RowReadout
-from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (
+    cluster_robust_covariance, shared_sigma)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -311,7 +312,13 @@ def readout_of(fit: RobustFit, sigma_inflation: float) -> RowReadout | None:
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
     value = fit.state.line_delay
-    sigma = sigma_inflation * float(np.sqrt(fit.covariance[place, place]))
+    information = fit.information
+    independent = float(np.sqrt(fit.covariance[place, place]))
+    # how a camera shakes between images differs from view to view, and looks like rows
+    of_views = shared_sigma(
+        information.influence[:, place] / np.sqrt(information.freedom_fraction), independent,
+        fit.observations.view)
+    sigma = float(np.hypot(of_views, independent * np.sqrt(max(sigma_inflation**2 - 1, 0))))
     seconds = clock.unit / clock.lines if clock.is_stamped else None
     return RowReadout(None if seconds is None else value * seconds,
                       None if seconds is None else sigma * seconds,

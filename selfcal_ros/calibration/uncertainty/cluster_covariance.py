@@ -261,6 +261,31 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added
 
 
+def shared_sigma(influence: np.ndarray, sigma: float, label: np.ndarray) -> float:
+    """
+    Widen the sigma of one unknown by errors that groups of observations share.
+
+    Parameters
+    ----------
+    influence : ndarray, shape (N,)
+        Effect of every observation's residual on it.
+    sigma : float
+        For independent errors.
+    label : ndarray of int, shape (N,)
+        The group of every observation.
+
+    Returns
+    -------
+    float
+        As it is where nothing significant was found.
+
+    """
+    if not sigma > 0:
+        return sigma
+    ratio, _ = _cluster_excess(influence[:, None] / sigma, label, np.eye(1))
+    return ratio * sigma
+
+
 def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
