@@ -210,5 +210,5 @@ def test_without_the_library_there_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tornado', None)
     monkeypatch.setitem(sys.modules, 'tornado.httpserver', None)
     monkeypatch.delitem(sys.modules, 'selfcal_ros.nodes.page_server')
-    with pytest.raises(ArgumentError, match=r"needs Tornado: pip install 'selfcal_ros\[watch\]'"):
+    with pytest.raises(ArgumentError, match=r"pip install '\.\[watch\]' in the clone"):
         page_node._page_server()

@@ -160,7 +160,7 @@ def test_wrong_engines(options, words):
 
 def test_without_dask_the_sentence_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, 'dask.distributed', None)
-    with pytest.raises(ArgumentError, match=r'pip install "selfcal_ros\[dask\]"'):
+    with pytest.raises(ArgumentError, match=r"pip install '\.\[dask\]' in the clone"):
         list(run_jobs(abs, [1], engine='dask'))
 
 
