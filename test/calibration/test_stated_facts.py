@@ -28,6 +28,7 @@ from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_poi
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators import motion_calibration, stated_facts
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
+from selfcal_ros.calibration.estimators.facts_in_the_way import preferred_by_all
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
@@ -265,6 +266,14 @@ def test_a_lens_that_is_much_decentred_may_be_a_prism():
     assert np.sqrt(np.diag(wider)[2:4]).min() > 1
     fit = optimum(seen_by(7, lens=(-0.12, 0.05, 0.0003, 0)), facts)
     assert possible_prism(fit, fit.lens_covariance, 1.0) is None
+
+
+def test_what_is_preferred_of_another_lens_model_stays_as_it_was_told():
+    # names of another model's coefficients ended in a traceback
+    fit = optimum(seen_by(0))
+    refusal = NoEstimate('fact_contradicted', name='lens model', sigmas=9.0, further=[],
+                         preferred=[{'name': 'k6', 'value': 0.1, 'sigma': 0.01, 'stated': 0.0}])
+    assert preferred_by_all(refusal, fit, fit.observations, SIZE) is refusal
 
 
 def test_images_of_a_second_camera_in_a_hand_are_left_out():

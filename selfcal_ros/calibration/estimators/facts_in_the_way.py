@@ -116,7 +116,8 @@ def preferred_by_all(refusal: NoEstimate, fit: RobustFit, offered: Observations,
     blamed = [dict(refusal.values), *(dict(one.values) for one in further)]
     names = [entry['name'] for one in blamed for entry in one['preferred']]
     state = None if fit.observations.shutter is not None else with_all_points(fit.state, offered)
-    if state is None:
+    # what is preferred to the stated lens may be another model's
+    if state is None or not set(names) <= set(state.lens.names):
         return refusal
     freed = fit_robustly(offered, state, fit.motion, fit.bundle.priors.without(names),
                          fit.bundle.sigma_px)
