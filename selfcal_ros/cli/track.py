@@ -87,8 +87,8 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
                             '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
                             "camera's optical frame), or a .pos file; or a .init file of object "
                             'points, with --clicks; of several objects parted by semicolons; '
-                            '`selfcal track` takes auto, too: the object is sought where it '
-                            'stands out or comes in')
+                            '`selfcal track` takes auto, too: the object is sought in each '
+                            'image until it is found')
     group.add_argument('--clicks', type=float, nargs='+', metavar='U V',
                        help='where the points of the .init file are in the first image, in '
                             'pixels and in its order')

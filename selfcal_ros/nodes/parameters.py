@@ -199,7 +199,7 @@ class RorapidTrackerParameters:
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
                                 'angle-axis radians, in the optical frame of the camera), or a '
                                 '.pos file; of several objects parted by semicolons; auto: it '
-                                'is sought where it stands out or comes in; empty: wait for '
+                                'is sought in each image until it is found; empty: wait for '
                                 'initialpose')
     image_transport: str = _image_transport()
     reliability: str = _reliability()

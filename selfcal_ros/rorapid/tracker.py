@@ -32,7 +32,7 @@ from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.track_state import (
-    ALONE, GUIDED, leaves_turn_open, rejection_reason, TrackStateMachine)
+    ALONE, GUIDED, leaves_turn_open, rejection_reason, seeking_reason, TrackStateMachine)
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
@@ -183,8 +183,8 @@ class RorapidTracker:
         """
         Begin without a pose; the state becomes LOST until the object is recognised.
 
-        It is found by its silhouette, before a plain background, or where it comes in before a
-        camera that stands still.
+        A polyhedron is found by its corners, any object by its silhouette: before a plain
+        background, or where it comes in before a camera that stands still.
 
         Raises
         ------
@@ -303,11 +303,12 @@ class RorapidTracker:
         if not lost or not measured.recognised or verifier is None:
             return measured
         measured = confirmed_again(verifier, image, measured)
-        if measured.recognised and self._track_state.good is None and self.model.is_outlined:
-            # an outline that was never confirmed is a start, not a return
+        if measured.recognised and self._track_state.good is None:
+            # what was never confirmed is a start, not a return, and nobody said how far it is
             self._starting = StartSearch.again(
                 measured.state, self._pose.proposed_covariance(measured.state),
                 self.model.free_turns)
+            self._plausibility.begin(measured.state.translation[2], None, sure=False)
             self._track_state.begin(lost=False)
             self._pose.kalman.restart(measured.state, measured.covariance)
         return measured
@@ -370,7 +371,8 @@ class RorapidTracker:
         else:
             if track.rejects(options):
                 self._pose.restart_wide(track.good or self._pose.kalman.state)
-            reason = rejection_reason(measured, not self._method.placed, open_turn, options)
+            seeking = '' if self._method.placed else seeking_reason(self.model.is_outlined)
+            reason = rejection_reason(measured, seeking, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:

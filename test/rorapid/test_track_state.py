@@ -35,7 +35,7 @@ def measured(share, determined=True, found=40):
     (measured(1.0), False, 'too little of the object to recognise'),
     (measured(0.1), True, 'Only 10 %'), (measured(0.1, False), False, 'Only 10 %')))
 def test_a_refusal_names_its_cause(what, open_turn, words):
-    said = rejection_reason(what, False, open_turn, TrackerOptions())
+    said = rejection_reason(what, '', open_turn, TrackerOptions())
     assert words in said and '100 %' not in said and said.endswith('.')
 
 

@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-An object that comes into a scene, or stands out from it, and was not followed before.
+An object that comes into a scene, or stands in it, and was not followed before.
 
 What is new before a camera that stands still has a silhouette. So has what stands out from a plain
-background. Poses with such a silhouette are starts. That whose lines are seen best is proposed,
-with all that are seen nearly as well. A cube looks the same from six sides, and the outline of a
-round part nearly so.
+background. Poses with such a silhouette are starts. Anywhere else a polyhedron is sought by its
+corners. That start whose lines are seen best is proposed, with all that are seen nearly as well. A
+cube looks the same from six sides, and the outline of a round part nearly so.
 
 Texture tells them apart. Without any, poses that take the model onto itself are equally right.
 """
@@ -29,7 +29,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.rorapid.estimation.pose_search import OTHER_RAD, PoseSearch, turned_by
+from selfcal_ros.rorapid.estimation.corner_alignment import CornerAlignment
+from selfcal_ros.rorapid.estimation.pose_search import (
+    best_turned, OTHER_RAD, PoseSearch, turned_by)
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.estimation.start_check import quartered
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -38,8 +40,10 @@ from selfcal_ros.rorapid.region.foreground_blob import foreground_blobs
 
 #: Poses with a like silhouette that are tried in one image; in so many images all are.
 _SILHOUETTES, _TURNS = 16, 4
-#: What stands out is tried in every so many images.
+#: What stands out is tried in every so many images, and what has the corners in the next one.
 _STANDING_EVERY = 3
+#: Poses by corners that are tried in one image.
+_ALIGNED = 24
 #: A model is taken onto itself if its vertices meet within this share of its diameter.
 _ITSELF = 0.02
 
@@ -61,6 +65,7 @@ class Arrival:
         self._search, self._K = search, K
         self._change = BackgroundChange()
         self._sampled: SampledViews | None = None
+        self._alignment: CornerAlignment | None = None
         self._images = 0
 
     def forget(self) -> None:
@@ -88,29 +93,44 @@ class Arrival:
 
         """
         search = self._search
+        outlined = search.control.is_outlined
         self._images += 1
-        pieces = self._change.look(undistorted)
-        if not pieces and self._images % _STANDING_EVERY == 1:
-            pieces = foreground_blobs(undistorted)
-        for piece in pieces:
-            if self._sampled is None:
-                control = search.control
-                self._sampled = SampledViews(control.visible_model, control.centre)
-            states = self._sampled.poses(piece, self._K, _TURNS * _SILHOUETTES)
-            if not search.control.is_outlined:
-                # the likest first, others in the next images
-                first = self._images % _TURNS * _SILHOUETTES
-                states = states[first:first + _SILHOUETTES]
+        for states, by_corners in self._starts(undistorted):
             ranked = search.ranked(image, states, covariance)
             if not ranked or not search.check.stands_out(ranked[0][1], was_seen):
                 continue
             best, support = ranked[0]
-            if not search.control.is_outlined:
-                ranked += search.ranked(image, quartered(best), covariance)
             free = search.control.free_turns
+            if by_corners and not search.check.stands_alone(support, best_turned(
+                    ranked, best, free)):
+                # among so many lines something is always partly like the object
+                continue
+            if not outlined:
+                ranked += search.ranked(image, quartered(best), covariance)
             yield [best] + [
                 pose for pose, other in ranked[1:] if turned_by(best, pose, free) > OTHER_RAD
                 and search.check.rivals(support, other)]
+
+    def _starts(self, undistorted: np.ndarray) -> Iterator[tuple[list[ObjectPose], bool]]:
+        """Yield the starts for each thing in an image, and whether its corners told of it."""
+        control = self._search.control
+        pieces = self._change.look(undistorted)
+        turn = self._images % _STANDING_EVERY
+        if not pieces and turn == 1:
+            pieces = foreground_blobs(undistorted)
+        for piece in pieces:
+            if self._sampled is None:
+                self._sampled = SampledViews(control.visible_model, control.centre)
+            states = self._sampled.poses(piece, self._K, _TURNS * _SILHOUETTES)
+            if not control.is_outlined:
+                # the likest first, others in the next images
+                first = self._images % _TURNS * _SILHOUETTES
+                states = states[first:first + _SILHOUETTES]
+            yield states, False
+        if not pieces and turn == 2 and not control.is_outlined:
+            if self._alignment is None:
+                self._alignment = CornerAlignment(control.visible_model, control.centre)
+            yield self._alignment.poses(undistorted, self._K, _ALIGNED), True
 
     def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:
         """

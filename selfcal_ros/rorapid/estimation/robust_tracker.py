@@ -43,6 +43,9 @@ from selfcal_ros.rorapid.texture.view_memory import ViewMemory
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
+#: Corners are hidden, not blurred, where fewer than this can be followed; and where fewer than
+#: the second share can be, though most of them agree.
+_HIDDEN, _HIDDEN_AGREEING = 0.4, 0.5
 #: An edgel agrees within this, pixels.
 _FOUND_PX = 1.75
 #: Search range once the object is nearly there, pixels.
@@ -277,8 +280,8 @@ class RobustTracker:
         """
         best = AgreeingCorners(prior.state, None, np.zeros(0, bool))
         for levels, reduced in _ATTEMPTS:
-            if reduced and best.matches is not None and best.matches.followed.mean() < 0.5:
-                break                 # not blurred but hidden
+            if reduced and _hidden(best):
+                break
             matches = self.texture.follow(region.halved() if reduced else region, prior.state,
                                           levels, self._much_hidden)
             if matches is None:
@@ -363,6 +366,15 @@ class RobustTracker:
                 self.texture.learn(region, measured.state, confirmed, shown[:6, :6])
         if confirmed:
             self._views.remember(region, measured.state)
+
+
+def _hidden(corners: AgreeingCorners) -> bool:
+    """Whether corners that were not found are hidden; those of a blurred image contradict."""
+    if corners.matches is None:
+        return False
+    followed = corners.matches.followed
+    return followed.mean() < _HIDDEN or (followed.mean() < _HIDDEN_AGREEING
+                                         and corners.agree.sum() > 0.5 * followed.sum())
 
 
 def _quality(measured: PoseMeasurement) -> tuple[float, float]:

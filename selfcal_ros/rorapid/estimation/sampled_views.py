@@ -25,6 +25,8 @@ import cv2
 import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.projection.viewing_directions import (
+    looking_along, spread_directions, turning_axis_to)
 from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 from selfcal_ros.values.wireframe import across_axes
 
@@ -57,8 +59,8 @@ class SampledViews:
         self._diameter = visible.model.diameter_m
         draw = _drawing_of(visible, centre)
         away = _AWAY * self._diameter
-        for direction in _around(_DIRECTIONS):
-            rotation = _looking_along(-direction)
+        for direction in spread_directions(_DIRECTIONS):
+            rotation = looking_along(-direction)
             mask = draw(rotation, np.array([0, 0, away]))
             if not mask.any():
                 continue
@@ -109,31 +111,9 @@ class SampledViews:
             ray /= np.linalg.norm(ray)
             away = _AWAY * self._diameter * focal / (_FOCAL * size)
             about = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-            found.append(ObjectPose(_turning_axis_to(ray) @ about @ self._rotations[k],
+            found.append(ObjectPose(turning_axis_to(ray) @ about @ self._rotations[k],
                                     away * ray))
         return found
-
-
-def _around(count: int) -> np.ndarray:
-    """Directions (count, 3) spread evenly (Fibonacci's spiral)."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    across = np.sqrt(1 - z * z)
-    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
-
-
-def _looking_along(axis: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of a camera whose optical axis lies along a direction of the object."""
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    side /= np.linalg.norm(side)
-    return np.array([side, np.cross(axis, side), axis])
-
-
-def _turning_axis_to(ray: np.ndarray) -> np.ndarray:
-    """Smallest rotation (3, 3) that takes the optical axis to a unit ray."""
-    x, y, z = ray
-    return np.eye(3) + np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]]) - np.array(
-        [[x * x, x * y, 0], [x * y, y * y, 0], [0, 0, x * x + y * y]]) / (1 + z)
 
 
 def _area_and_middle(mask: np.ndarray) -> tuple[float, np.ndarray]:

@@ -158,6 +158,10 @@ class StartCheck:
         """Whether a pose is seen, and none that is turned from it comes near."""
         return support.reaches(_ALONE) and support.length >= turned.length + _MARGIN
 
+    def stands_alone(self, support: Support, turned: Support) -> bool:
+        """Whether a pose is without doubt, or seen well and better than all that are turned."""
+        return self.sure(support) or self.alone(support, turned)
+
     def confirms(self, support: Support, rival: Support, turned: Support) -> bool:
         """
         Whether a start is confirmed; asked once an image.
@@ -190,10 +194,12 @@ class StartCheck:
         whole = not self._control.is_outlined or was_seen or support.length >= _WHOLE
         return whole and self.fair(support)
 
-    def found(self, support: Support, by_texture: bool) -> bool:
+    def found(self, support: Support, by_texture: bool, was_seen: bool) -> bool:
         """Whether an object that was lost is found; its texture may have recognised it."""
-        least = 0.0, _RECOGNISED[self._control.is_outlined]
-        return support.reaches(least if by_texture else _FAIR)
+        outlined = self._control.is_outlined
+        if outlined and not was_seen and not self.sure(support):
+            return False
+        return support.reaches((0.0, _RECOGNISED[outlined]) if by_texture else _FAIR)
 
 
 def turned(state: ObjectPose) -> list[ObjectPose]:

@@ -206,7 +206,6 @@ def confirmed_again(method: SearchingEstimator, image: np.ndarray,
     """Return what was found of a lost object, recognised only if its lines are seen."""
     check = method.check
     support = check.support(image, measured.state)
-    # one that was never seen may be another
-    if check.found(support, measured.by_texture) and (method.placed or check.sure(support)):
+    if check.found(support, measured.by_texture, method.placed):
         return measured
     return replace(measured, recognised=False)

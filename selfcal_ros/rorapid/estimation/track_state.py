@@ -29,9 +29,10 @@ from selfcal_ros.rorapid.tracked_frame import TrackerState
 _OPEN_RAD = 0.1
 #: What is said where enough is found, and fits poses that are turned.
 _OPEN_TURN = 'What is seen fits poses that are turned by some degrees: a rotation stays open.'
-#: What is said while an object that was never seen is sought.
+#: What is said while an object that was never seen is sought; and one with corners.
 _SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
-            'comes in before a still camera, has its silhouette.')
+            'comes in before a still camera, has its silhouette')
+_NO_CORNERS = ', and no corners are like its own'
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,12 @@ class TrackStateMachine:
         return lost_now
 
 
-def rejection_reason(measured: PoseMeasurement, seeking: bool, open_turn: bool,
+def seeking_reason(outlined: bool) -> str:
+    """Say that an object was not found yet: a mesh, known by its outline, or a polyhedron."""
+    return f'{_SEEKING}{"" if outlined else _NO_CORNERS}.'
+
+
+def rejection_reason(measured: PoseMeasurement, seeking: str, open_turn: bool,
                      options: TrackerOptions) -> str:
     """
     Say why a measurement is refused.
@@ -183,8 +189,8 @@ def rejection_reason(measured: PoseMeasurement, seeking: bool, open_turn: bool,
     Parameters
     ----------
     measured : PoseMeasurement
-    seeking : bool
-        The object was never seen, and is only sought.
+    seeking : str
+        What is said of an object that was never seen, and is only sought; else empty.
     open_turn : bool
         The measurement leaves a rotation open.
     options : TrackerOptions
@@ -196,7 +202,7 @@ def rejection_reason(measured: PoseMeasurement, seeking: bool, open_turn: bool,
 
     """
     if measured.reason or seeking:
-        return measured.reason or _SEEKING
+        return measured.reason or seeking
     if measured.share >= options.lost_share:
         # enough is found: something else is wrong
         if not measured.determined:
