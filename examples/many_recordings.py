@@ -14,7 +14,7 @@
 """
 Calibrate from many recordings in parallel, and ask whether they agree.
 
-    python examples/many_recordings.py drives/*.mcap
+    python examples/many_recordings.py bags/agv_drive bags/arm_move
 
 `selfcal calibrate drives/` does the same, and writes the files and a report.
 """

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 #: Frames of a table that are used by default: more cost time, and hardly lower the sigmas.
 MAX_TABLE_FRAMES = 60
+#: A camera rests whose corners move by less than this share of the image diagonal.
+_RESTING = 0.001
 #: Displacement between keyframes as a share of the extent, and share of the tracks that may be
 #: lost, each milder than the next.
 _STEPS = ((0.02, 0.35), (0.04, 0.5), (0.08, 0.65), (0.12, 0.75))
@@ -204,6 +206,9 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
     if images == 1:
         raise InputError(f'{source.path} gives one image, and a calibration needs three at '
                          'least, from different places.')
+    if not len(found.tracks) and _rests(found.findings):
+        raise InputError(f'Nothing moves in the {images} images of {source.path}: they all show '
+                         'the same from one place.')
     if not len(found.tracks):
         within = ', also within the mask' if mask else ''
         raise InputError(f'No point could be followed through the {images} images of '
@@ -213,6 +218,12 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
         tracks = tracks.unstamped(NOMINAL_RATE_HZ)
     return ExtractedTracks(tracks, source.description, (*found.findings, *source.losses()),
                            source.clock)
+
+
+def _rests(findings: Sequence[Finding]) -> bool:
+    """Whether corners were followed between the first images, and stayed where they were."""
+    return any(finding.kind == 'mode_chosen' and finding.values['followed'] > 0.5
+               and finding.values['step'] < _RESTING for finding in findings)
 
 
 def generator(seed: int) -> np.random.Generator | None:

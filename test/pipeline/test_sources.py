@@ -432,3 +432,16 @@ def test_a_long_table_is_thinned_to_frames_that_still_share_points(tmp_path):
     tracks.in_frames(range(MAX_TABLE_FRAMES)).to_csv(tmp_path / 'short.csv')
     found = read_tracks(tmp_path / 'short.csv', image_size=(640, 480))
     assert len(found.tracks.frames) == MAX_TABLE_FRAMES and not found.notes
+
+
+def test_images_that_all_show_the_same_are_said_to(tmp_path):
+    image = cv2.GaussianBlur(np.random.default_rng(2).integers(0, 255, (240, 320), np.uint8),
+                             (0, 0), 2)
+    for number in range(8):
+        cv2.imwrite(str(tmp_path / f'{number}.png'), image)
+    with pytest.raises(InputError, match='all show the same from one place'):
+        read_tracks(tmp_path)
+    for number in range(8):
+        cv2.imwrite(str(tmp_path / f'{number}.png'), np.zeros((240, 320), np.uint8))
+    with pytest.raises(InputError, match='need texture and overlap'):
+        read_tracks(tmp_path)
