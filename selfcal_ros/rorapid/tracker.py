@@ -287,6 +287,13 @@ class RorapidTracker:
             starting = self._unconfirmed
         if starting is not None and verifier is not None:
             return self._confirm(starting, verifier, image, measured, stamp_ns)
+        outline = self._plausibility.outline
+        if verifier is not None and outline is not None and self._policy.relocalises and (
+                self.state is not TrackerState.LOST):
+            wide = self._pose.proposed_covariance(measured.state)
+            measured, other = outline.look(verifier, image, measured, wide)
+            if other:
+                kalman.restart(measured.state, wide)
         if depth is not None and self._projection.model == 'perspective' and (
                 measured.share >= self.options.lost_share):
             measured = self._plausibility.depths.improved(measured, depth, self._pose.basis)

@@ -20,6 +20,7 @@ import numpy as np
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.estimation.depth_images import DepthImages
 from selfcal_ros.rorapid.estimation.model_doubt import ModelDoubt
+from selfcal_ros.rorapid.estimation.outline_watch import OutlineWatch
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.size_check import SizeCheck
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
@@ -40,6 +41,8 @@ class PlausibilityChecks:
     Attributes
     ----------
     depths : DepthImages
+    outline : OutlineWatch or None
+        Of a mesh, where poses are tested.
 
     """
 
@@ -56,6 +59,7 @@ class PlausibilityChecks:
         self._model = ModelDoubt(control, basis, options.least_contrast) if (
             options.verifies and shown) else None
         self.depths = DepthImages(control, options.depth_scale_sigma)
+        self.outline = OutlineWatch() if options.verifies and control.is_outlined else None
 
     def begin(self, distance_m: float, sigma_m: float | None, sure: bool) -> None:
         """
@@ -73,6 +77,8 @@ class PlausibilityChecks:
         """
         self._size, self._sure = SizeCheck(distance_m, sigma_m), sure
         self.depths.forget()
+        if self.outline is not None:
+            self.outline.forget()
         if self._model is not None:
             self._model.forget()
 
@@ -96,7 +102,8 @@ class PlausibilityChecks:
         if not self._sure:
             return ('Some lines of the model are not seen: something hides them, or it is another '
                     'object.')
-        return self.depths.text() or self._size.text()
+        outline = '' if self.outline is None else self.outline.text()
+        return outline or self.depths.text() or self._size.text()
 
     def covariance(self, state: ObjectPose, basis: np.ndarray) -> np.ndarray:
         """Covariance (6, 6) of (theta, Delta) that a doubt may add to a pose."""

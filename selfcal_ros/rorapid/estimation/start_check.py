@@ -30,7 +30,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
@@ -124,8 +124,11 @@ class StartCheck:
         return self._dense
 
     def support(self, image: np.ndarray, state: ObjectPose) -> Support:
-        """Look at all lines that a state shows, in an image (H, W) of uint8."""
-        view = self.dense.view(state)
+        """Look all along the lines that a state shows, in an image (H, W) of uint8."""
+        return self.seen(image, self.dense.view(state))
+
+    def seen(self, image: np.ndarray, view: ControlView) -> Support:
+        """Look at the places of a view only: fewer, where it is that of the tracker."""
         at = np.flatnonzero(view.searched)
         if not len(at):
             return Support()
