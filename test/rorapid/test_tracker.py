@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.synthetic.objects import perturbed, tracked_object
 from selfcal_ros.synthetic.wide_recordings import wide_camera
@@ -274,3 +274,17 @@ def test_a_reset_forgets_everything():
         tracker.track(images[0])
     again = tracker_of(made)
     assert np.allclose(again.track(images[0]).translation, first[0].translation, atol=1e-12)
+
+
+def test_an_affine_start_that_is_off_is_looked_at_from_other_sides():
+    """Turned starts need an affine camera each; without one there was an error."""
+    made = tracked_object(8, shape='step_block', supersampling=2)
+    renderer = made.renderer()
+    tracker = RorapidTracker(made.model, made.camera, TrackerOptions(camera_model='affine'),
+                             rng=np.random.default_rng(0))
+    off = rotation_matrix(np.deg2rad([14.0, -9.0, 8.0]))
+    tracker.start(off @ made.rotations[0], made.translations[0])
+    frames = [tracker.track(made.frame(k, renderer)) for k in range(8)]
+    assert frames[0].state is TrackerState.INITIALISING and frames[-1]
+    assert np.degrees(np.linalg.norm(rotation_vector(
+        frames[-1].rotation @ made.rotations[7].T))) < 6

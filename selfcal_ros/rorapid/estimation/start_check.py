@@ -209,8 +209,8 @@ def turned(state: ObjectPose) -> list[ObjectPose]:
     """Return poses turned by some degrees about many axes."""
     signs = np.array([axis for axis in product((-1, 0, 1), repeat=3) if any(axis)], float)
     axes = signs / np.linalg.norm(signs, axis=1, keepdims=True)
-    return [ObjectPose(rotation_matrix(np.deg2rad(angle) * axis) @ state.rotation,
-                       state.translation, state.zoom) for angle in _TURNS for axis in axes]
+    return [state.turned_to(rotation_matrix(np.deg2rad(angle) * axis) @ state.rotation)
+            for angle in _TURNS for axis in axes]
 
 
 def quartered(state: ObjectPose) -> list[ObjectPose]:
@@ -220,5 +220,5 @@ def quartered(state: ObjectPose) -> list[ObjectPose]:
         for x in np.concatenate([np.eye(3), -np.eye(3)]):
             quarter = np.column_stack([x, np.cross(z, x), z])
             if x @ z == 0 and np.trace(quarter) < 2.9:
-                found.append(ObjectPose(state.rotation @ quarter, state.translation, state.zoom))
+                found.append(state.turned_to(state.rotation @ quarter))
     return found

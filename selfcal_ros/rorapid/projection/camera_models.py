@@ -65,6 +65,12 @@ class ObjectPose:
             raise ArgumentError('This pose was not estimated with an affine camera.')
         return self.affine
 
+    def turned_to(self, rotation: np.ndarray) -> ObjectPose:
+        """Return the pose in the same place with another rotation (3, 3)."""
+        affine = None if self.affine is None else np.column_stack(
+            [rotation[:2] / self.translation[2], self.affine[:, 3]])
+        return ObjectPose(rotation, self.translation, self.zoom, affine)
+
 
 @dataclass(frozen=True)
 class ProjectedPoints:
