@@ -34,7 +34,7 @@ from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.track_state import (
     ALONE, GUIDED, leaves_turn_open, rejection_reason, seeking_reason, TrackStateMachine)
 from selfcal_ros.rorapid.estimation.start_search import (
-    confirmed_again, relocalised, StartSearch)
+    confirmed_again, LastSighting, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -81,6 +81,7 @@ class RorapidTracker:
         self._plausibility = PlausibilityChecks(self._control, self._pose.basis, options)
         self._track_state, self._policy = TrackStateMachine(), ALONE
         self._starting: StartSearch | None = None
+        self._sighting = LastSighting()
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
@@ -172,6 +173,7 @@ class RorapidTracker:
         self._pose.begin(state, guessed)
         self._track_state.begin(lost)
         self._stamp_ns = None
+        self._sighting.forget()
         self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
         kalman = self._pose.kalman
         self._starting = StartSearch(kalman.state, kalman.pose_covariance.copy(),
@@ -270,6 +272,7 @@ class RorapidTracker:
         self._control.resize(picture.shape[1::-1])
         seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
         self._stamp_ns = stamp_ns
+        self._sighting.later(seconds)
         # what is lost stays where it was; a start is looked at more than once where it is tested
         starting, verifier = self._unconfirmed, self._method.verifier
         fresh = starting is not None and not (starting.tries and verifier)
@@ -317,7 +320,9 @@ class RorapidTracker:
                 self.model.free_turns)
             self._plausibility.begin(measured.state.translation[2], None, sure=False)
             self._track_state.begin(lost=False)
-            self._pose.kalman.restart(measured.state, measured.covariance)
+            self._pose.kalman.restart(
+                measured.state, measured.covariance,
+                self._sighting.velocity(self._projection, self._pose.basis, measured.state))
         return measured
 
     def _confirm(self, starting: StartSearch, method: SearchingEstimator, image: np.ndarray,
@@ -334,7 +339,7 @@ class RorapidTracker:
         if good:
             method.glance(image, measured.state)
             self._pose.kalman.absorb(measured.state, measured.covariance)
-        if self._track_state.gives_up(good, starting.given_up, self.options):
+        if self._track_state.gives_up(good, starting.given_up(not good), self.options):
             self._pose.restart_wide(starting.guess)
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)

@@ -104,6 +104,21 @@ def test_a_painted_cube_on_a_desk_is_found_and_its_distance_is_not_doubted():
     assert frames[-1].state is TrackerState.TRACKING and not frames[-1].reason
 
 
+def test_one_that_moves_on_while_it_is_sought_is_met_where_it_goes():
+    """A search takes as long as four images, which a camera does not wait for."""
+    made = tracked_object(22, 'step_block', seed=33, supersampling=2, speed=2.0, background=True)
+    renderer = made.renderer()
+    tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
+    tracker.seek()
+    number, states = 0, [tracker.state]
+    while number < 22 and states[-1] is not TrackerState.TRACKING:
+        states.append(tracker.track(made.frame(number, renderer), number * 33_333_333).state)
+        found = states[-2:] == [TrackerState.LOST, TrackerState.INITIALISING]
+        number += 5 if found else 1
+    assert states[-1] is TrackerState.TRACKING
+    assert states.count(TrackerState.INITIALISING) >= 2
+
+
 @pytest.mark.parametrize('sought', ('cube', 'slab'))
 def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought):
     made = tracked_object(9, 'step_block', seed=32, supersampling=2, background=True)

@@ -67,9 +67,9 @@ def test_an_outline_that_was_denied_must_be_sure_for_longer(outline, supports, c
 def test_a_start_is_given_up_after_fifteen_images():
     method, start = Seen([WEAK] * 15), StartSearch(None, np.eye(6), True)
     for count in range(15):
-        assert start.tries == count and not start.given_up
+        assert start.tries == count and not start.given_up(missed=True)
         start.look(method, None, Measured, np.eye(6))
-    assert start.given_up
+    assert start.given_up(missed=False)
 
 
 def test_a_painted_object_is_confirmed_where_no_turned_pose_comes_near():

@@ -127,7 +127,7 @@ class Arrival:
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
             yield states, False
-        if not pieces and turn == 2 and not control.is_outlined:
+        if turn == 2 and not control.is_outlined:
             if self._alignment is None:
                 self._alignment = CornerAlignment(control.visible_model, control.centre)
             yield self._alignment.poses(undistorted, self._K, _ALIGNED), True

@@ -27,7 +27,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
-from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE
+from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE, turned_by
 from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
@@ -39,6 +39,9 @@ _BETTER = 0.05
 #: The outline of a round part is nearly that of poses around. After an image that did not confirm
 #: one, it must be sure in so many images in a row.
 _OUTLINE_IMAGES = 3
+#: Two places tell a velocity if no more time lies between, and no more of a turn: parts that look
+#: the same from several sides are found in any of these poses.
+_RECENT_S, _SAME_RAD = 1.5, 0.7
 #: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
 _PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 
@@ -88,10 +91,9 @@ class StartSearch:
         search._images = _OUTLINE_IMAGES
         return search
 
-    @property
-    def given_up(self) -> bool:
-        """Whether there were images enough."""
-        return self.tries >= TRIES
+    def given_up(self, missed: bool) -> bool:
+        """Whether there were images enough; what was found by a search is sought anew at once."""
+        return self.tries >= TRIES or missed and self._images > 1
 
     def look(self, method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
              wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
@@ -150,6 +152,32 @@ class StartSearch:
         if self._held:
             return f'The start pose is looked at in some more images: {seen}.'
         return f'The image does not confirm the start pose: {seen}.'
+
+
+class LastSighting:
+    """Where a search found the object last: two such places tell how it moves."""
+
+    def __init__(self) -> None:
+        """Wait for the first."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._state: ObjectPose | None = None
+        self._seconds = 0.0
+
+    def later(self, seconds: float) -> None:
+        """Let so much time go by."""
+        self._seconds += seconds
+
+    def velocity(self, projection: Projection, basis: np.ndarray,
+                 state: ObjectPose) -> np.ndarray | None:
+        """Take another place; return the velocity (m,) since the last one, if that tells it."""
+        before, seconds = self._state, self._seconds
+        self._state, self._seconds = state, 0.0
+        if before is None or not 0 < seconds < _RECENT_S or turned_by(before, state) > _SAME_RAD:
+            return None
+        return basis.T @ projection.difference(state, before) / seconds
 
 
 def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: float,
