@@ -40,8 +40,11 @@ from selfcal_ros.rorapid.region.foreground_blob import foreground_blobs
 
 #: Poses with a like silhouette that are tried in one image; in so many images all are.
 _SILHOUETTES, _TURNS = 16, 4
-#: What stands out is tried in every so many images, and what has the corners in the next one.
+#: What stands out is tried in every so many images.
 _STANDING_EVERY = 3
+#: Poses by corners are tried in every so many images, and more seldom of what was seen before:
+#: they take 0.2 s.
+_CORNERS_EVERY, _CORNERS_AGAIN_EVERY = 3, 9
 #: Poses by corners that are tried in one image.
 _ALIGNED = 24
 #: A model is taken onto itself if its vertices meet within this share of its diameter.
@@ -95,7 +98,7 @@ class Arrival:
         search = self._search
         outlined = search.control.is_outlined
         self._images += 1
-        for states, by_corners in self._starts(undistorted):
+        for states, by_corners in self._starts(undistorted, was_seen):
             ranked = search.ranked(image, states, covariance)
             if not ranked or not search.check.stands_out(ranked[0][1], was_seen):
                 continue
@@ -111,12 +114,12 @@ class Arrival:
                 pose for pose, other in ranked[1:] if turned_by(best, pose, free) > OTHER_RAD
                 and search.check.rivals(support, other)]
 
-    def _starts(self, undistorted: np.ndarray) -> Iterator[tuple[list[ObjectPose], bool]]:
+    def _starts(self, undistorted: np.ndarray,
+                was_seen: bool) -> Iterator[tuple[list[ObjectPose], bool]]:
         """Yield the starts for each thing in an image, and whether its corners told of it."""
         control = self._search.control
         pieces = self._change.look(undistorted)
-        turn = self._images % _STANDING_EVERY
-        if not pieces and turn == 1:
+        if not pieces and self._images % _STANDING_EVERY == 1:
             pieces = foreground_blobs(undistorted)
         for piece in pieces:
             if self._sampled is None:
@@ -127,7 +130,8 @@ class Arrival:
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
             yield states, False
-        if turn == 2 and not control.is_outlined:
+        every = _CORNERS_AGAIN_EVERY if was_seen else _CORNERS_EVERY
+        if self._images % every == 2 and not control.is_outlined:
             if self._alignment is None:
                 self._alignment = CornerAlignment(control.visible_model, control.centre)
             yield self._alignment.poses(undistorted, self._K, _ALIGNED), True
