@@ -397,6 +397,8 @@ class RorapidTracker:
             full = with_any_turn(full, free)
         if accepted and len(full) == 6:
             full = full + self._plausibility.covariance(state, B)
-        return told_frame(self._control, measured, state, full, accepted, told=self.state,
+        shown = self._method.placed or self.state is not TrackerState.LOST
+        return told_frame(self._control, measured, state, full, accepted, shown=shown,
+                          told=self.state,
                           reason=reason, doubt=self._plausibility.text() if accepted else '',
                           innovation=innovation, stamp_ns=stamp_ns)

@@ -128,6 +128,8 @@ def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought)
     tracker.seek()
     frames = [tracker.track(made.frame(k, renderer)) for k in range(9)]
     assert not any(frames) and 'no corners' in frames[-1].reason
+    # nothing is drawn where it was never seen
+    assert all(frame.image_px.shape == (0, 2) and not len(frame.found) for frame in frames)
 
 
 @pytest.mark.skipif(not (DATA / 'vgg_corridor').is_dir(), reason='needs the recorded sets')

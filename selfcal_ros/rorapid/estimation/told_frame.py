@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
@@ -24,10 +26,14 @@ from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.projection.motion_models import recentring
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 
+#: What a frame has for each place in the image.
+_OF_PLACES = ('image_px', 'normal', 'edge_px', 'found', 'rejected', 'hidden', 'primitive',
+              'texture_px')
+
 
 def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPose,
-               covariance: np.ndarray, accepted: bool, *, told: TrackerState, reason: str,
-               doubt: str, innovation: float, stamp_ns: int | None) -> TrackedFrame:
+               covariance: np.ndarray, accepted: bool, *, shown: bool, told: TrackerState,
+               reason: str, doubt: str, innovation: float, stamp_ns: int | None) -> TrackedFrame:
     """
     Put a result into the object's own frame.
 
@@ -41,6 +47,8 @@ def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPo
         Of a correction of it, (theta, Delta) first.
     accepted : bool
         The measurement confirms the state.
+    shown : bool
+        Its places in the image mean something: those of an object that was never seen do not.
     told, reason, doubt, innovation, stamp_ns
         See `TrackedFrame`.
 
@@ -61,10 +69,12 @@ def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPo
     rms = float(np.sqrt(np.mean(edge[found]**2))) if found.any() else float('nan')
     focal = float(projection.camera.K[0, 0] * state.zoom)
     sigma = focal * float(np.sqrt(covariance[6, 6])) if len(covariance) == 7 else 0.0
-    return TrackedFrame(
+    frame = TrackedFrame(
         state=told, reason=reason, rotation=state.rotation, translation=state.translation - arm,
         covariance=pose[TURN_LAST], focal_px=focal, focal_sigma_px=sigma,
         camera_model=projection.model, image_px=view.projected.pixels, normal=view.normal,
         edge_px=edge, found=found, rejected=np.isfinite(edge) & ~found, hidden=~view.searched,
         primitive=view.primitive, texture_px=measured.texture_px, rms_px=rms,
         share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns, doubt=doubt)
+    return frame if shown else replace(frame, **{name: getattr(frame, name)[:0]
+                                                 for name in _OF_PLACES})
