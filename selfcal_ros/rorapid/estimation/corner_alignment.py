@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.projection.viewing_directions import (
@@ -241,8 +242,9 @@ def _joined(lines: np.ndarray) -> np.ndarray:
 def _corners_of_image(lines: np.ndarray) -> np.ndarray:
     """Where lines meet, and their other ends (N, 3, 2); that with the longest arms first."""
     ends, others = lines.reshape(-1, 2), lines[:, ::-1].reshape(-1, 2)
-    i, j = np.nonzero(np.triu(
-        np.linalg.norm(ends[:, None] - ends, axis=2) < _MEET_PX, 1))
+    if not len(ends):
+        return np.zeros((0, 3, 2))
+    i, j = cKDTree(ends).query_pairs(_MEET_PX, output_type='ndarray').T
     u, v, gap = ends[i] - others[i], ends[j] - others[j], others[j] - others[i]
     cross = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     bent = np.abs(cross) > _LEAST_SINE * np.hypot(*u.T) * np.hypot(*v.T)

@@ -37,7 +37,7 @@ TRIES, _SEARCHES = 15, (0, 4, 9)
 #: Another pose is better if it is seen by so much more of its length.
 _BETTER = 0.05
 #: The outline of a round part is nearly that of poses around. After an image that did not confirm
-#: one, it must be sure in so many images in a row.
+#: one, it must be sure in so many images in a row; so must what a search found.
 _OUTLINE_IMAGES = 3
 #: Two places tell a velocity if no more time lies between, and no more of a turn: parts that look
 #: the same from several sides are found in any of these poses.
@@ -86,7 +86,7 @@ class StartSearch:
     @classmethod
     def again(cls, guess: ObjectPose, covariance: np.ndarray,
               free: np.ndarray = NOT_FREE) -> StartSearch:
-        """Confirm an outline that was found; it must be sure in several images in a row."""
+        """Confirm what a search found; it must be sure in several images in a row."""
         search = cls(guess, covariance, True, free)
         search._images = _OUTLINE_IMAGES
         return search
