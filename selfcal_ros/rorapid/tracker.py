@@ -22,10 +22,11 @@ from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
+from selfcal_ros.rorapid.estimation.corner_alignment import has_corners
 from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
+from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
 from selfcal_ros.rorapid.estimation.pose_estimator import PoseEstimator, SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_filter import PoseFilter
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
@@ -383,7 +384,8 @@ class RorapidTracker:
         else:
             if track.rejects(options):
                 self._pose.restart_wide(track.good or self._pose.kalman.state)
-            seeking = '' if self._method.placed else seeking_reason(self.model.is_outlined)
+            seeking = '' if self._method.placed else seeking_reason(
+                has_corners(self._control.visible_model))
             reason = rejection_reason(measured, seeking, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 

@@ -21,13 +21,14 @@ from bench.tracking.tracking_sought import recorded
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import cKDTree, ConvexHull
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
-from selfcal_ros.rorapid.estimation.corner_alignment import CornerAlignment
+from selfcal_ros.rorapid.estimation.corner_alignment import CornerAlignment, has_corners
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.objects import tracked_object
+from selfcal_ros.values.wireframe import Polygon, WireframeModel
 
 DATA = Path(__file__).resolve().parents[2].parent / 'shared' / 'data'
 
@@ -145,3 +146,16 @@ def test_nothing_is_found_in_a_corridor_of_straight_lines(name):
     tracker = RorapidTracker(model, camera, rng=np.random.default_rng(0))
     tracker.seek()
     assert not any(tracker.track(image) for image in images)
+
+
+@pytest.mark.parametrize('name, sought', (('cube', True), ('ball of many faces', False)))
+def test_a_model_of_many_lines_is_not_sought_by_corners(name, sought):
+    """It would take seconds, in which a node does nothing else."""
+    if sought:
+        model = tracked_object(1, shape=name).model
+    else:
+        points = np.random.default_rng(0).normal(size=(150, 3))
+        points *= 0.05 / np.linalg.norm(points, axis=1, keepdims=True)
+        model = WireframeModel.build(points, [], [
+            Polygon(tuple(corners.tolist())) for corners in ConvexHull(points).simplices])
+    assert has_corners(VisibleModel(model)) is sought

@@ -29,7 +29,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.rorapid.estimation.corner_alignment import CornerAlignment
+from selfcal_ros.rorapid.estimation.corner_alignment import CornerAlignment, has_corners
 from selfcal_ros.rorapid.estimation.pose_search import (
     best_turned, OTHER_RAD, PoseSearch, turned_by)
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
@@ -131,7 +131,7 @@ class Arrival:
                 states = states[first:first + _SILHOUETTES]
             yield states, False
         every = _CORNERS_AGAIN_EVERY if was_seen else _CORNERS_EVERY
-        if self._images % every == 2 and not control.is_outlined:
+        if self._images % every == 2 and has_corners(control.visible_model):
             if self._alignment is None:
                 self._alignment = CornerAlignment(control.visible_model, control.centre)
             yield self._alignment.poses(undistorted, self._K, _ALIGNED), True

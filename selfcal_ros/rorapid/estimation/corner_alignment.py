@@ -39,15 +39,17 @@ _BESIDE_PX = 2.0
 #: Ends of lines this far apart may meet in a corner, pixels; sine of the least angle there.
 _MEET_PX, _LEAST_SINE = 6.0, 0.34
 #: No more pairs of a corner in the image and one of the model are tried.
-_MOST_PAIRS = 40_000
+_MOST_PAIRS = 20_000
+#: A model of more lines, or of more control points times triangles, would take seconds.
+_MOST_MODEL_LINES, _MOST_TESTS = 200, 300_000
 #: The object is so many pixels across at the least, and so many images at the most.
 _LEAST_SIZE_PX, _MOST_SIZE = 50.0, 1.5
 #: Directions that the model is drawn from, and diameters that the camera is away then.
 _DIRECTIONS, _AWAY = 200, 6.0
 #: Ranges of direction that lines are parted into; farther from a line than this counts nothing.
 _SECTORS, _FAR_PX = 8, 6.0
-#: At first one of so many points on the edges is looked at; so many poses are judged by all.
-_ROUGHLY, _KEPT = 3, 4000
+#: About so many points on the edges are looked at, at first and then; so many poses are kept.
+_ROUGHLY, _CLOSELY, _KEPT = 26, 100, 4000
 #: Poses that are looked at, the best first, for some that differ: by so much of the object's size,
 #: or so many radians.
 _LOOKED_AT, _APART_SIZE, _APART_RAD = 400, 0.15, 0.3
@@ -120,7 +122,7 @@ class CornerAlignment:
         rough = self._likeness(rotations, scales, places, maps, _ROUGHLY)
         kept = np.argsort(-rough, kind='stable')[:_KEPT]
         rotations, scales, places = rotations[kept], scales[kept], places[kept]
-        likeness = self._likeness(rotations, scales, places, maps)
+        likeness = self._likeness(rotations, scales, places, maps, _CLOSELY)
         chosen: list[int] = []
         for k in np.argsort(-likeness, kind='stable')[:_LOOKED_AT]:
             apart = np.hypot(*(places[chosen] - places[k]).T) > (
@@ -172,9 +174,10 @@ class CornerAlignment:
             'nij,nj->ni', rotation[:, :2], vertex)
 
     def _likeness(self, rotations: np.ndarray, scales: np.ndarray, places: np.ndarray,
-                  maps: np.ndarray, every: int = 1) -> np.ndarray:
+                  maps: np.ndarray, count: int) -> np.ndarray:
         """Say how near the visible edges lie to lines of their direction, 0 to 1, (N,)."""
         height, width = maps.shape[1:]
+        every = max(1, round(self._points.shape[1] / count))
         points, tangents, weights = (part[:, ::every] for part in (
             self._points, self._tangents, self._weights))
         weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1)
@@ -192,6 +195,13 @@ class CornerAlignment:
             near = 1 - maps[sector, xy[..., 1], xy[..., 0]] / _FAR_PX
             likeness[part] = (near * inside * weights[view[part]]).sum(axis=1)
         return likeness
+
+
+def has_corners(visible: VisibleGeometry) -> bool:
+    """Whether a model is one of plane faces that may be sought by its corners."""
+    model = visible.model
+    return not model.is_outlined and 0 < len(model.lines) <= _MOST_MODEL_LINES and (
+        visible.size * len(model.triangles) <= _MOST_TESTS)
 
 
 def _corners_of_model(vertices: np.ndarray, lines) -> tuple[np.ndarray, np.ndarray]:

@@ -176,9 +176,9 @@ class TrackStateMachine:
         return lost_now
 
 
-def seeking_reason(outlined: bool) -> str:
-    """Say that an object was not found yet: a mesh, known by its outline, or a polyhedron."""
-    return f'{_SEEKING}{"" if outlined else _NO_CORNERS}.'
+def seeking_reason(by_corners: bool) -> str:
+    """Say that an object was not found yet, which may be sought by its corners, too."""
+    return f'{_SEEKING}{_NO_CORNERS if by_corners else ""}.'
 
 
 def rejection_reason(measured: PoseMeasurement, seeking: str, open_turn: bool,
