@@ -22,10 +22,12 @@ from bench.tracking.tracking_runs import cube_sequence, CubeSequence
 import numpy as np
 from scipy.spatial import cKDTree
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.synthetic.mesh_scenes import MeshRenderer
 from selfcal_ros.synthetic.objects import object_poses, tracked_object
 from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: Sequences of each kind, and images of each.
 SEEDS, IMAGES = (501, 502, 503), 20
@@ -81,35 +83,29 @@ def follow(model, camera, images, is_right) -> tuple[int | None, int]:
     return first, wrong
 
 
+def fits(model: WireframeModel, frame: TrackedFrame, rotation, translation) -> bool:
+    """Whether a frame has the vertices where a pose has them, which of them ever."""
+    placed = (model.vertices @ frame.rotation.T + frame.translation - translation) @ rotation
+    return bool(cKDTree(model.vertices).query(placed)[0].max() < _ITSELF * model.diameter_m)
+
+
 def polyhedron(name: str, wall: bool, seed: int) -> tuple[int | None, int]:
     """Seek a rendered polyhedron."""
     made = tracked_object(IMAGES, NEW_OBJECTS[name](seed) if name in NEW_OBJECTS else name,
                           seed=seed, supersampling=2, speed=0.8, background=wall)
     renderer = made.renderer()
     images = [made.frame(k, renderer) for k in range(IMAGES)]
-    vertices = made.model.vertices
-    tree = cKDTree(vertices)
-
-    def is_right(frame, k: int) -> bool:
-        turn = made.rotations[k].T @ frame.rotation
-        shift = made.rotations[k].T @ (frame.translation - made.translations[k])
-        return tree.query(vertices @ turn.T + shift)[0].max() < _ITSELF * made.model.diameter_m
-
-    return follow(made.model, made.camera, images, is_right)
+    return follow(made.model, made.camera, images, lambda frame, k: fits(
+        made.model, frame, made.rotations[k], made.translations[k]))
 
 
 def recorded(sequence: CubeSequence, first: int) -> tuple[int | None, int]:
     """Seek the painted cube on a desk, from an image of the recording on."""
-    vertices, track = sequence.model.vertices, sequence.reference
-    tree = cKDTree(vertices)
-
-    def is_right(frame, k: int) -> bool:
-        rotation, translation = track.rotations[first + k], track.translations[first + k]
-        placed = vertices @ frame.rotation.T + frame.translation - translation
-        return tree.query(placed @ rotation)[0].max() < _ITSELF * sequence.model.diameter_m
-
-    return follow(sequence.model, sequence.camera, sequence.images[first:first + IMAGES],
-                  is_right)
+    track = sequence.reference
+    return follow(
+        sequence.model, sequence.camera, sequence.images[first:first + IMAGES],
+        lambda frame, k: fits(sequence.model, frame, track.rotations[first + k],
+                              track.translations[first + k]))
 
 
 def mesh(name: str, what: str, speed: float) -> tuple[int | None, int]:

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.edges.line_segments import line_segments
 
 #: Edges found this far from a fitted line do not belong to it, pixels.
 _NEAR_PX = 0.7
@@ -30,8 +31,6 @@ _MEET_PX = 8.0
 _MIN_ANGLE_RAD = np.deg2rad(15)
 #: Height of the arch of an edge that counts as straight, as a share of its length.
 _MAX_ARCH = 0.015
-#: Of more pieces of lines in an image the longest are taken.
-_MAX_LINES = 600
 
 
 @dataclass(frozen=True)
@@ -147,12 +146,7 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
         the first end to the second (in the image as seen).
 
     """
-    found = cv2.createLineSegmentDetector().detect(image)[0]
-    segments = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
-    lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
-    longest = np.argsort(-lengths, kind='stable')[:_MAX_LINES]
-    segments = segments[longest[lengths[longest] > 0.5 * least_length_px]]
-    segments, support, arch = _refined(image, segments, 3)
+    segments, support, arch = _refined(image, line_segments(image, 0.5 * least_length_px), 3)
     # chords of round edges are no lines; a lens bends lines much less
     segments = _joined(segments[(support > 0.5) & (arch < _MAX_ARCH)])
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)

@@ -26,13 +26,14 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from selfcal_ros.rorapid.edges.line_segments import line_segments
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.projection.viewing_directions import (
-    looking_along, spread_directions, turning_axis_to)
+    looking_along, seen_at, spread_directions)
 from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 
-#: Lines of the image: so many of the longest, and none shorter, pixels.
-_MOST_LINES, _LEAST_PX = 600, 12.0
+#: Lines of the image, and what joins them: so many of the longest, and none shorter, pixels.
+_MOST_LINES, _LEAST_PX = 1200, 12.0
 #: Two lines are joined if one lies within this of the other, pixels, and no farther along than the
 #: longer one is long.
 _BESIDE_PX = 2.0
@@ -132,13 +133,7 @@ class CornerAlignment:
                 chosen.append(k)
             if len(chosen) == most:
                 break
-        focal = float(np.sqrt(K[0, 0] * K[1, 1]))
-        found = []
-        for k in chosen:
-            ray = np.linalg.solve(K, [*places[k], 1.0])
-            ray /= np.linalg.norm(ray)
-            found.append(ObjectPose(turning_axis_to(ray) @ rotations[k], focal / scales[k] * ray))
-        return found
+        return [seen_at(places[k], scales[k], rotations[k], K) for k in chosen]
 
     def _aligned(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -223,14 +218,10 @@ def _corners_of_model(vertices: np.ndarray, lines) -> tuple[np.ndarray, np.ndarr
 
 def _lines_of(image: np.ndarray) -> np.ndarray:
     """Find lines of an image, and what joins them: their ends (N, 2, 2), the longest first."""
-    found = cv2.createLineSegmentDetector().detect(image)[0]
-    lines = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
-    lengths = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
-    order = np.argsort(-lengths, kind='stable')[:_MOST_LINES]
-    lines = lines[order[lengths[order] >= _LEAST_PX]]
+    lines = line_segments(image, _LEAST_PX)
     lines = np.concatenate([lines, _joined(lines)])
     order = np.argsort(-np.hypot(*(lines[:, 1] - lines[:, 0]).T), kind='stable')
-    return lines[order[:2 * _MOST_LINES]]
+    return lines[order[:_MOST_LINES]]
 
 
 def _joined(lines: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.projection.viewing_directions import (
-    looking_along, spread_directions, turning_axis_to)
+    looking_along, seen_at, spread_directions)
 from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 from selfcal_ros.values.wireframe import across_axes
 
@@ -99,7 +99,6 @@ class SampledViews:
         alike = both / np.maximum(either, 1.0)
         best = alike.argmax(axis=1)
         order = np.argsort(-alike.max(axis=1))[:most]
-        focal = float(np.sqrt(K[0, 0] * K[1, 1]))
         found = []
         for k in order:
             turn = turns[best[k]]
@@ -107,12 +106,9 @@ class SampledViews:
             size = np.sqrt(area / self._areas[k])
             # the object's centre is not the middle of its silhouette
             pixel = middle - size * (np.array([[c, -s], [s, c]]) @ self._offsets[k])
-            ray = np.linalg.solve(K, [*pixel, 1.0])
-            ray /= np.linalg.norm(ray)
-            away = _AWAY * self._diameter * focal / (_FOCAL * size)
+            scale = _FOCAL * size / (_AWAY * self._diameter)
             about = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-            found.append(ObjectPose(turning_axis_to(ray) @ about @ self._rotations[k],
-                                    away * ray))
+            found.append(seen_at(pixel, scale, about @ self._rotations[k], K))
         return found
 
 

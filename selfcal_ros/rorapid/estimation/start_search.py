@@ -130,7 +130,7 @@ class StartSearch:
                 support, other = check.support(image, measured.state), True
             self._turned = best_turned(poses, measured.state, self._free)
         self.tries += 1
-        self.sure = not other and (check.sure(support) or check.alone(support, self._turned))
+        self.sure = not other and check.stands_alone(support, self._turned)
         self._held = self._held + 1 if self.sure else 0
         if self._held == self._images > 1 and method.search.turned_rival(
                 image, measured.state, wide) > support.length - _BETTER:

@@ -11,11 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Directions that a camera may look at an object from, and rotations that look along them."""
+"""Directions that a camera may look at an object from, and poses that are seen along them."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
 
 def spread_directions(count: int) -> np.ndarray:
@@ -33,7 +35,32 @@ def looking_along(axis: np.ndarray) -> np.ndarray:
     return np.array([side, np.cross(axis, side), axis])
 
 
-def turning_axis_to(ray: np.ndarray) -> np.ndarray:
+def seen_at(pixel: np.ndarray, scale: float, rotation: np.ndarray, K: np.ndarray) -> ObjectPose:
+    """
+    Carry a pose from the middle of the image to where it is seen.
+
+    Parameters
+    ----------
+    pixel : ndarray, shape (2,)
+        Where the origin of the object is seen.
+    scale : float
+        Pixels a metre.
+    rotation : ndarray, shape (3, 3)
+        As if it were seen along the optical axis.
+    K : ndarray, shape (3, 3)
+
+    Returns
+    -------
+    ObjectPose
+
+    """
+    ray = np.linalg.solve(K, [*pixel, 1.0])
+    ray /= np.linalg.norm(ray)
+    focal = float(np.sqrt(K[0, 0] * K[1, 1]))
+    return ObjectPose(_turning_axis_to(ray) @ rotation, focal / scale * ray)
+
+
+def _turning_axis_to(ray: np.ndarray) -> np.ndarray:
     """Smallest rotation (3, 3) that takes the optical axis to a unit ray."""
     x, y, z = ray
     return np.eye(3) + np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]]) - np.array(
