@@ -38,8 +38,8 @@ demo-track: $(VENV)/package
 	@$(BIN)/selfcal demo --recording object --output-dir out/demo-track --force
 
 test: $(VENV)/package $(VENV)/test-tools
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist loadfile \
-		--no-loadscope-reorder --max-worker-restart 2 $(REQUIRE) $(PYTEST_ARGS)
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist worksteal \
+		--max-worker-restart 2 $(REQUIRE) $(PYTEST_ARGS)
 
 lint: $(VENV)/test-tools
 	$(BIN)/python -m flake8 .
