@@ -110,7 +110,8 @@ class Zoom:
     @property
     def scale(self) -> np.ndarray:
         """Magnification of each view, shape (V,)."""
-        scale: np.ndarray = np.exp(self.log_focal)
+        with np.errstate(over='ignore'):  # a step too far has an infinite cost, and is not taken
+            scale: np.ndarray = np.exp(self.log_focal)
         return scale
 
     def of_views(self, kept: np.ndarray) -> Zoom:
