@@ -252,8 +252,8 @@ REMARKS: dict[str, Phrase] = {
         'Released, the fact comes out elsewhere, beyond chance, but the camera moves little.',
         'Check the fact, or state it with a sigma.'),
     'fact_unsure': Phrase(
-        'The images would rather have {preferred:preferred} than the stated {fact}. The sigmas '
-        'allow for the difference.',
+        'The images cast doubt on the stated {fact}: they prefer {preferred:preferred}. The '
+        'sigmas allow for the difference.',
         'The difference may be an accident: it is one in a hundred calibrations.',
         'Check the fact, or state it with a sigma.'),
     'fact_unchecked': Phrase(
