@@ -18,7 +18,7 @@ from __future__ import annotations
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.report.mounts.words import mount_lines
-from selfcal_ros.report.phrases import open_parameters
+from selfcal_ros.report.phrases import open_parameters, rests_on
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
@@ -72,8 +72,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         header += f' {"truth":>12} {"error":>10} {"sigmas":>7}'
     lines.append(header + '   status')
     values = dict(zip(result.sigma, result.camera.parameters.tolist()))
-    rests_on = {name: one.values['fact'] for one in result.findings
-                if one.kind == 'fact_unchecked' for name in one.values.get('moves', ())}
+    supposed = rests_on(result)
     for name, value in values.items():
         status = result.status.get(name, 'estimated')
         held = result.held_by.get(name)
@@ -88,8 +87,8 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
                            decimals)
         if status == 'held' and held:
             status += f' by {held}'
-        elif status == 'estimated' and name in rests_on:
-            status += f', if the {rests_on[name]} is exact'
+        elif status == 'estimated' and name in supposed:
+            status += f', if the {supposed[name]} is exact'
         lines.append(f'{row}   {status}')
     lines += ['', facts_text(result.facts)]
     lines += list(result.notes) + list(notes)

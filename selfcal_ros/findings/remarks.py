@@ -252,9 +252,9 @@ REMARKS: dict[str, Phrase] = {
         'Released, the fact comes out elsewhere, beyond chance, but the camera moves little.',
         'Check the fact, or state it with a sigma.'),
     'fact_unsure': Phrase(
-        'The images cast doubt on the stated {fact}: they prefer {preferred:preferred}. The '
-        'sigmas allow for the difference.',
-        'The difference may be an accident: it is one in a hundred calibrations.',
+        'The images lean a little from the stated {fact}: they prefer {preferred:preferred}. That '
+        'may be chance, and the sigmas allow for it.',
+        'Where the fact is right, chance makes such a difference in 3 of 100 calibrations.',
         'Check the fact, or state it with a sigma.'),
     'fact_unchecked': Phrase(
         'The camera rests on the stated {fact}, and the images cannot check it. An error of '

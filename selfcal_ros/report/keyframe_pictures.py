@@ -122,9 +122,12 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     first, last = min(2, len(frames) - 1), len(frames) - 1
     places = np.unique(np.linspace(first, last, PICTURES).round().astype(int))
     seen = observations(result, tracks) if result else _all_used(tracks)
-    worst = (fit_of_images(result, seen).worst(WORST_PICTURES)
+    order = (fit_of_images(result, seen).worst(PICTURES + WORST_PICTURES)
              if result and len(frames) > PICTURES else places[:0])
-    wanted = set(frames[np.union1d(places, worst)].tolist())
+    # those of the worst that are shown anyhow leave room for the next
+    further = order[~np.isin(order, places)][:WORST_PICTURES]
+    worst = order[:WORST_PICTURES]
+    wanted = set(frames[np.union1d(places, further)].tolist())
     images: dict[int, np.ndarray] = {}
     try:
         with open_frames() as source:

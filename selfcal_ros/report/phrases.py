@@ -89,9 +89,15 @@ def open_parameters(result: Calibration) -> list[str]:
     return [str(finding) for finding in findings]
 
 
+def rests_on(result: Calibration) -> dict[str, str]:
+    """Name the stated fact that an estimated parameter rests on, where no image checks it."""
+    return {name: one.values['fact'] for one in result.findings
+            if one.kind == 'fact_unchecked' for name in one.values.get('moves', ())}
+
+
 def parameter_rows(result: Calibration) -> list[Row]:
     """Return the parameters, then what follows from them."""
-    sigma = _sigma(result)
+    sigma, supposed = _sigma(result), rests_on(result)
     values = dict(zip(result.parameter_names, result.camera.parameters.tolist()))
     rows = []
     for name, value in values.items():
@@ -102,8 +108,17 @@ def parameter_rows(result: Calibration) -> list[Row]:
             share = f'{100 * sigma[name] / value:.2g} %'
         rows.append(Row(name, meaning(result.camera.model, name), text,
                         'not determined' if status == 'unobservable' else spread, share, status,
-                        result.held_by.get(name, '') if status == 'held' else ''))
+                        _condition(result, name, status, supposed)))
     return rows + _derived_rows(result) + _shutter_rows(result)
+
+
+def _condition(result: Calibration, name: str, status: str, supposed: dict[str, str]) -> str:
+    """Say what holds a parameter, or what its value is conditional on."""
+    if status == 'held':
+        return result.held_by.get(name, '')
+    if status == 'estimated' and name in supposed:
+        return f'if the {supposed[name]} is exact'
+    return ''
 
 
 def _shutter_rows(result: Calibration) -> list[Row]:

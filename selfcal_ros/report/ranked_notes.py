@@ -33,12 +33,12 @@ MOST_SHOWN = 7
 #: on something; what it means; how it was made.
 DOUBT, WIDER, LEANS, MEANS, MADE = 4, 3, 2, 1, 0
 
-_DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_unsure', 'fact_trusted',
+_DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_trusted',
           'fact_unchecked', 'fact_decides', 'other_camera_left_out', 'parameters_unobservable',
           'camera_changed', 'tracks_unexplained_whole', 'image_size_not_stated', 'fixed_camera',
           'fixed_camera_features', 'rolling_shutter_suspected', 'line_delay_open',
           'object_misfits_frames')
-_WIDER = ('errors_within_track', 'errors_within_region', 'errors_within_segment',
+_WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_within_segment',
           'errors_at_object_points', 'errors_within_edge', 'regions_beyond_lens', 'lens_deviates',
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
           'lever_not_excluded', 'circular_motion', 'not_exactly_planar',

@@ -77,6 +77,9 @@ def residual_figure(result: Calibration, seen: ObservationTable | None) -> Drawi
             _field(panels[0], result, seen.xy[seen.used], residual)
         else:
             caption = 'Residuals in both image coordinates.'
+    caption += (' The bell is that of the middle of the residuals, without their tails. The image '
+                f'noise σ of {result.noise_sigma_px:.2g} px counts the tails. The reprojection '
+                f'rms of {result.reprojection_rms_px:.2g} px is of both coordinates together.')
     return Drawing('residuals', 'Residuals', caption, tuple(axes.figure for axes in panels))
 
 

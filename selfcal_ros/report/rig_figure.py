@@ -76,8 +76,24 @@ def rig_figure(rig: RigCalibration) -> Drawing | None:
                    tuple(panels), 'scene')
 
 
-def epipolar_figure(distances: Mapping[tuple[str, str], np.ndarray]) -> Drawing | None:
-    """Draw how distances from the epipolar planes are spread; None without matches."""
+def epipolar_figure(distances: Mapping[tuple[str, str], np.ndarray],
+                    bent_px: float | None = None) -> Drawing | None:
+    """
+    Draw how distances from the epipolar planes are spread.
+
+    Parameters
+    ----------
+    distances : mapping of (str, str) to ndarray, shape (N,)
+        Pixels, of every two cameras.
+    bent_px : float, optional
+        By how much the lenses deviate from their models.
+
+    Returns
+    -------
+    Drawing or None
+        None without matches.
+
+    """
     if not distances:
         return None
     panels = []
@@ -94,7 +110,9 @@ def epipolar_figure(distances: Mapping[tuple[str, str], np.ndarray]) -> Drawing 
             axes.set_title(f'{first} and {second}; {beyond:.2g} % lie beyond the ends')
             axes.spines[['top', 'right']].set_visible(False)
             panels.append(axes.figure)
-    return Drawing('epipolar', 'What two cameras see at once', 'Distances of matches from the '
-                   'epipolar planes of this calibration. They should gather about zero, as '
-                   'narrow as the noise of the images.',
-                   tuple(panels))
+    caption = ('Distances of matches from the epipolar planes of this calibration. They should '
+               'gather about zero, as narrow as the noise of the images.')
+    if bent_px is not None:
+        caption += (f' Where lenses deviate from their models, {bent_px:.2g} px here, they may '
+                    'gather as far off zero.')
+    return Drawing('epipolar', 'What two cameras see at once', caption, tuple(panels))

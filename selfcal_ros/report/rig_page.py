@@ -69,7 +69,9 @@ def write_rig_page(path, result: RigCalibration | NotCalibrated, text: str, sour
     if result:
         from selfcal_ros.report.rig_figure import epipolar_figure, rig_figure
         distances = epipolar_distances(result, tracks) if shared and tracks else {}
-        drawings = drawn([one for one in (rig_figure(result), epipolar_figure(distances)) if one])
+        drawings = drawn([one for one in (rig_figure(result), epipolar_figure(
+            distances, next((one.values['rms_px'] for one in result.findings
+                             if one.kind == 'lens_deviates'), None))) if one])
         tables = [_cameras(result), _poses(result), *_epipolar(distances)]
         matrices = _stereo(result)
         files = {name: rig_camera_yaml(result, name, source) for name in result.cameras}
@@ -133,9 +135,13 @@ def _cameras(rig: RigCalibration) -> PageTable:
                                  for one in alone)),
             ('lens', *(one.camera.model for one in rig.cameras.values())), *map(row, of_lenses),
             ('rms', *(f'{one.reprojection_rms_px:.3f}' for one in rig.cameras.values()))]
-    return PageTable('cameras', 'Cameras', 'Pixels, with one standard deviation; the coefficients '
-                     'of the lens have no unit. Alone: from the images of that camera only.',
-                     ('', *rig.cameras), tuple(rows))
+    words = ('Pixels, with one standard deviation; the coefficients of the lens have no unit. '
+             'Alone: from the images of that camera only.')
+    if any(by_itself and rig.cameras[name].sigma['fx'] > by_itself.sigma['fx']
+           for name, by_itself in rig.alone.items() if name in rig.cameras):
+        words += (' A sigma that is larger together holds errors that only both cameras '
+                  'together show.')
+    return PageTable('cameras', 'Cameras', words, ('', *rig.cameras), tuple(rows))
 
 
 def _poses(rig: RigCalibration) -> PageTable:

@@ -17,8 +17,9 @@
     if (text !== undefined) made.textContent = text;
     return made;
   };
-  /* as many digits as the sigma bears */
+  /* as many digits as the sigma bears; what rounds to zero has no sign */
   const digits = sigma => Math.max(0, Math.min(6, 1 - Math.floor(Math.log10(sigma))));
+  const rounded = (value, n) => (Number(value.toFixed(n)) || 0).toFixed(n);
 
   const advise = (kind, what, why) => {
     find('head').dataset.kind = kind;
@@ -32,7 +33,7 @@
     const rows = state.parameters.filter(one => one.value !== null).map(one => {
       const row = document.createElement('tr'), held = !(one.sigma > 0);
       const n = held ? (one.value === 0 ? 0 : 4) : digits(one.sigma);
-      for (const [text, kind] of [[one.name, 'name'], [one.value.toFixed(n), 'n'],
+      for (const [text, kind] of [[one.name, 'name'], [rounded(one.value, n), 'n'],
                                   [held ? 'held' : '± ' + one.sigma.toFixed(n), 'n']]) {
         const cell = document.createElement('td');
         cell.textContent = text;
@@ -44,6 +45,7 @@
     find('parameters').replaceChildren(...rows);
     document.querySelector('#numbers table').hidden = !rows.length;
     words('state', rows.length ? 'Calibrated' : 'Not calibrated');
+    find('save').disabled = !rows.length;
     const rms = state.rms_px === null ? '' : `Reprojection ${state.rms_px.toFixed(3)} px rms, ` +
       `motion ${state.motion}.`;
     words('text', state.alive && rows.length && state.is_well ? rms : state.text);
