@@ -21,9 +21,10 @@ is weighed stands in `_root_weights`.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Generic
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIG
 from selfcal_ros.calibration.bundle.model import Linearisation, Model, Prediction
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.state import SceneState, StateT
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
@@ -51,7 +53,7 @@ MIN_NOISE_PX = 1e-9
 LEAST_FACTOR = 0.5
 
 
-class Bundle:
+class Bundle(Generic[StateT]):
     """
     Adjustment of a set of observations.
 
@@ -71,7 +73,7 @@ class Bundle:
 
     """
 
-    def __init__(self, model: Model, view: np.ndarray, part: np.ndarray, xy: np.ndarray, *,
+    def __init__(self, model: Model[StateT], view: np.ndarray, part: np.ndarray, xy: np.ndarray, *,
                  priors: Priors, sigma_px: float):
         self.model, self.view, self.part, self.xy = model, view, part, xy
         self.priors, self.sigma_px = priors, sigma_px
@@ -81,41 +83,42 @@ class Bundle:
 
     # ------------------------------------------------------------------ the same with a difference
 
-    def with_priors(self, priors: Priors) -> Bundle:
+    def with_priors(self, priors: Priors) -> Bundle[StateT]:
         """Return the same problem with other facts."""
         return self._with(priors=priors, unknowns=_with_facts(self.unknowns, priors))
 
-    def with_sigma(self, sigma_px: float) -> Bundle:
+    def with_sigma(self, sigma_px: float) -> Bundle[StateT]:
         """Return the same problem with another noise level."""
         return self._with(sigma_px=sigma_px)
 
-    def _with(self, **changed: Any) -> Bundle:
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__, **changed)
+    def _with(self, **changed: object) -> Bundle[StateT]:
+        other = copy(self)
+        vars(other).update(changed)
         return other
 
     # ------------------------------------------------------------------ model
 
-    def predict(self, state: Any) -> Prediction:
+    def predict(self, state: StateT) -> Prediction:
         """Project every observation."""
         return self.model.predict(state, self.blocks, self.xy)
 
-    def linearise(self, state: Any) -> Linearisation:
+    def linearise(self, state: StateT) -> Linearisation:
         """Project every observation and differentiate."""
         return self.predict(state).differentiated(self.unknowns)
 
-    def moved(self, state: Any, step: np.ndarray, steps: np.ndarray | None = None) -> Any:
+    def moved(self, state: StateT, step: np.ndarray, steps: np.ndarray | None = None,
+              ) -> StateT:
         """Move a state by a step (n,) of what remains, and of what is eliminated (P, p)."""
         if steps is None:
             steps = np.zeros((self.blocks.point_count, self.model.eliminated))
         return self.model.moved(state, step, steps, self.unknowns)
 
-    def residuals(self, state: Any) -> np.ndarray:
+    def residuals(self, state: StateT) -> np.ndarray:
         """Residuals in pixels (N, m); NaN behind the camera."""
         seen = self.predict(state)
         return np.where(seen.ahead[:, None], seen.residual, np.nan)
 
-    def prior_terms(self, state: Any) -> tuple[float, np.ndarray, np.ndarray]:
+    def prior_terms(self, state: StateT) -> tuple[float, np.ndarray, np.ndarray]:
         """
         Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
 
@@ -135,7 +138,7 @@ class Bundle:
             gradient[self.unknowns.lens] += slope
         return cost, gradient, diagonal
 
-    def add_priors(self, system: ReducedSystem, state: Any, at: np.ndarray | None = None,
+    def add_priors(self, system: ReducedSystem, state: StateT, at: np.ndarray | None = None,
                    weight: float = 1.0) -> None:
         """
         Add all that is supposed to normal equations of the observations.
@@ -178,11 +181,11 @@ class Bundle:
 
     # ------------------------------------------------------------------ estimation
 
-    def cost(self, state: Any) -> float:
+    def cost(self, state: StateT) -> float:
         """Robust cost in units of sigma²; infinite where the state is impossible."""
         return self._evaluated(state)[0]
 
-    def _evaluated(self, state: Any) -> tuple[float, Prediction | None]:
+    def _evaluated(self, state: StateT) -> tuple[float, Prediction | None]:
         """Return the cost, and what it was computed from."""
         if not state.lens.is_possible:
             return np.inf, None
@@ -205,12 +208,12 @@ class Bundle:
         root: np.ndarray = np.sqrt(weight * linearisation.ahead) / self.sigma_px
         return root[:, None]
 
-    def normal_equations(self, state: Any, damping: float = 0.0, robust: bool = True,
+    def normal_equations(self, state: StateT, damping: float = 0.0, robust: bool = True,
                          linearisation: Linearisation | None = None) -> ReducedSystem:
         """Reduced normal equations in units of sigma, priors and scale gauge included."""
         return self.weighted_equations(state, damping, robust, linearisation)[0]
 
-    def weighted_equations(self, state: Any, damping: float = 0.0, robust: bool = True,
+    def weighted_equations(self, state: StateT, damping: float = 0.0, robust: bool = True,
                            linearisation: Linearisation | None = None,
                            ) -> tuple[ReducedSystem, np.ndarray]:
         """Return the normal equations, and the roots of the weights (N, 1)."""
@@ -229,7 +232,7 @@ class Bundle:
             system.add_gauge(weight, gauge)
         return system, root
 
-    def optimise(self, state: Any, iterations: int = 50, tolerance: float = 1e-3) -> Any:
+    def optimise(self, state: StateT, iterations: int = 50, tolerance: float = 1e-3) -> StateT:
         """
         Minimise the robust cost by Levenberg-Marquardt.
 
@@ -246,11 +249,11 @@ class Bundle:
         BundleState
 
         """
-        def linearise(state: Any, seen: Prediction | None) -> Linearisation:
+        def linearise(state: StateT, seen: Prediction | None) -> Linearisation:
             return self.linearise(state) if seen is None else seen.differentiated(self.unknowns)
 
-        def attempt(state: Any, linearisation: Linearisation, damping: float,
-                    ) -> tuple[Any, float]:
+        def attempt(state: StateT, linearisation: Linearisation, damping: float,
+                    ) -> tuple[StateT | None, float]:
             system, root = self.weighted_equations(state, damping, linearisation=linearisation)
             factor = DampedFactor(system.matrix, system.diagonal, damping,
                                   self.unknowns.selection)
@@ -263,12 +266,13 @@ class Bundle:
 
         return minimise(state, self._evaluated, linearise, attempt, iterations, tolerance)
 
-    def _weighted_residuals(self, state: Any, root: np.ndarray, step: np.ndarray,
+    def _weighted_residuals(self, state: StateT, root: np.ndarray, step: np.ndarray,
                             steps: np.ndarray) -> np.ndarray:
         residual: np.ndarray = root * self.predict(self.moved(state, step, steps)).residual
         return residual
 
-    def refine_points(self, state: Any, iterations: int = 5) -> Any:
+    def refine_points(self: Bundle[SceneState], state: SceneState, iterations: int = 5,
+                      ) -> SceneState:
         """
         Minimise the robust cost over the points of a scene alone, each by steps of its own.
 
@@ -278,7 +282,7 @@ class Bundle:
         model = self.model
         assert isinstance(model, SceneModel)
 
-        def equations(state: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def equations(state: SceneState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             """Cost (P,), matrix (P, 3, 3) and gradient (P, 3) of every point."""
             there = model.of_points(state, self.blocks, self.xy)
             misfit = self._misfits(there)
@@ -306,7 +310,7 @@ class Bundle:
 
     # ------------------------------------------------------------------ noise
 
-    def noise_sigma(self, state: Any) -> float:
+    def noise_sigma(self, state: StateT) -> float:
         """
         Estimate the standard deviation of an image coordinate while there may be outliers.
 
@@ -328,14 +332,15 @@ class Bundle:
                                   / (expected * fraction)))
         return max(sigma, MIN_NOISE_PX)
 
-    def noise_rms(self, state: Any) -> float:
+    def noise_rms(self, state: StateT) -> float:
         """Estimate the standard deviation of an image coordinate once outliers are gone."""
         square = np.nansum(self.residuals(state)**2)
         return max(float(np.sqrt(square / max(self.degrees_of_freedom, 1))), MIN_NOISE_PX)
 
     # ------------------------------------------------------------------ information
 
-    def information(self, state: Any, linearisation: Linearisation | None = None) -> Information:
+    def information(self, state: StateT, linearisation: Linearisation | None = None,
+                    ) -> Information:
         """
         Covariance at the optimum, and the influence of every observation.
 
@@ -359,13 +364,13 @@ class Bundle:
         return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system,
                            self.unknowns.lens)
 
-    def covariance(self, state: Any) -> np.ndarray | ChainInverse:
+    def covariance(self, state: StateT) -> np.ndarray | ChainInverse:
         """Covariance of what remains once a block is eliminated, for independent noise, (n, n)."""
         linearisation = self.linearise(state)
         system = self.normal_equations(state, linearisation=linearisation)
         return self.inverse(system) * self.loss_factors(linearisation)[0]
 
-    def ideal_covariance(self, state: Any) -> np.ndarray | ChainInverse:
+    def ideal_covariance(self, state: StateT) -> np.ndarray | ChainInverse:
         """Covariance (n, n) if the residuals were Gaussian noise of the stated sigma."""
         return self.inverse(self.normal_equations(state))
 

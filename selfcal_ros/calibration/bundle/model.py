@@ -24,10 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.state import StateT
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
@@ -82,7 +83,7 @@ class Prediction:
     differentiated: Callable[[Unknowns], Linearisation]
 
 
-class Model(Protocol):
+class Model(Protocol[StateT]):
     """
     A product of blocks.
 
@@ -120,15 +121,16 @@ class Model(Protocol):
         """Lay out what remains, facts not yet regarded."""
         ...
 
-    def predict(self, state: Any, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
+    def predict(self, state: StateT, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
         """Project every observation."""
         ...
 
-    def moved(self, state: Any, step: np.ndarray, steps: np.ndarray, unknowns: Unknowns) -> Any:
+    def moved(self, state: StateT, step: np.ndarray, steps: np.ndarray,
+              unknowns: Unknowns) -> StateT:
         """Move a state by a step (n,) of what remains and steps (P, p) of what is eliminated."""
         ...
 
-    def prior_terms(self, state: Any, unknowns: Unknowns) -> PriorTerms:
+    def prior_terms(self, state: StateT, unknowns: Unknowns) -> PriorTerms:
         """Return cost, gradient and diagonal of what the blocks suppose themselves."""
         ...
 
@@ -140,6 +142,6 @@ class Model(Protocol):
         """Count the measurements that these stand for."""
         ...
 
-    def gauge(self, state: Any, unknowns: Unknowns) -> np.ndarray | None:
+    def gauge(self, state: StateT, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that no image can determine, if there is one."""
         ...

@@ -17,19 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_names, Lens, places_among
-from selfcal_ros.calibration.bundle.state import BundleState
+from selfcal_ros.calibration.bundle.state import StateT
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.lenses.population import lens_population, Population
 from selfcal_ros.geometry.scaled_inverse import scaled_inverse
-
 
 #: Sigma of p1 and p2 among ordinary lenses.
 ORDINARY_DECENTRING = 1e-3
@@ -122,9 +120,6 @@ class Priors(Mapping[str, Prior]):
             places = places_among(names, self.population.names)
             matrix[np.ix_(places, places)] += self.population.information
         return matrix
-
-
-StateT = TypeVar('StateT', bound=BundleState)
 
 
 def priors_from_facts(facts: CameraFacts) -> Priors:

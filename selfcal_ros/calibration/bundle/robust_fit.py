@@ -171,7 +171,7 @@ class Observations:
 class RobustFit:
     """An optimum, with the problem that it solves and the observations that it explains."""
 
-    bundle: Bundle
+    bundle: Bundle[SceneState]
     state: SceneState
     observations: Observations
     outliers: int
@@ -275,7 +275,7 @@ def _directions(state: SceneState, observations: Observations) -> np.ndarray | N
 
 
 def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
-              sigma_px: float) -> Bundle:
+              sigma_px: float) -> Bundle[SceneState]:
     """Set up the adjustment of observations of a scene."""
     model = (SceneModel(motion, observations.shutter) if observations.camera is None
              else RigModel(motion, camera=observations.camera))
@@ -350,7 +350,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
                      before - len(observations.view))
 
 
-def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
+def _predicted(bundle: Bundle[SceneState], observations: Observations, state: SceneState,
                motion: MotionModel) -> tuple[Observations, SceneState]:
     """Leave out the few observations that a start knows nothing of: they decide every step."""
     limit_px = ABSURD_PX
@@ -369,7 +369,7 @@ def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
     return kept, replace(state, points=state.points[points])
 
 
-def _optimum(bundle: Bundle, state: SceneState, motion: MotionModel) -> SceneState:
+def _optimum(bundle: Bundle[SceneState], state: SceneState, motion: MotionModel) -> SceneState:
     """Optimise, and from the nearest point that may rest, too; return the better one."""
     starts = [state, resting_near(state) if motion.fixed_pivot else None]
     optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=0.02)

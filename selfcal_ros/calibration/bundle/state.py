@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -47,6 +48,10 @@ class BundleState:
     def camera(self, width: int = 0, height: int = 0) -> Camera:
         """Return the camera."""
         return self.lens.camera(width, height)
+
+
+#: States of one kind of product of blocks.
+StateT = TypeVar('StateT', bound=BundleState)
 
 
 @dataclass(frozen=True)

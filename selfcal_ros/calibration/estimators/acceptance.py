@@ -23,6 +23,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
@@ -331,7 +332,7 @@ def deviates_too_far(field: DistortionMisfit | None, size: tuple[int, int], sigm
     return NoEstimate('smooth_misfit', rms_px=float(field.rms_px))
 
 
-def unchecked(bundle: Bundle) -> NoEstimate | None:
+def unchecked(bundle: Bundle[SceneState]) -> NoEstimate | None:
     """Refuse an adjustment that could not be checked, having too few degrees of freedom."""
     if bundle.degrees_of_freedom >= MINIMUM_FREEDOM:
         return None

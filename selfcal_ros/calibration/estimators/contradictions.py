@@ -71,11 +71,11 @@ def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
     return lost / max(len(every.view) + len(others.view), 1)
 
 
-def _bundle(fit: RobustFit, observations: Observations) -> Bundle:
+def _bundle(fit: RobustFit, observations: Observations) -> Bundle[SceneState]:
     return bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
 
 
-def _contradicting(bundle: Bundle, state: SceneState) -> int:
+def _contradicting(bundle: Bundle[SceneState], state: SceneState) -> int:
     """Count the observations that are not where a state, which knows their points, has them."""
     distance = lengths(bundle.residuals(state))
     # behind the camera: not a number, and not less

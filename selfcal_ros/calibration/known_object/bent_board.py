@@ -62,7 +62,7 @@ class BoardShape:
     normal: np.ndarray
 
     @classmethod
-    def of(cls, bundle: Bundle, state: ObjectState, clusters: ClusterCovariance,
+    def of(cls, bundle: Bundle[ObjectState], state: ObjectState, clusters: ClusterCovariance,
            points: np.ndarray, extent: float) -> BoardShape:
         """
         Take the shape out of an adjustment.

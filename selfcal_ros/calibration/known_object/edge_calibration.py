@@ -139,7 +139,7 @@ class EdgeViews:
                        **{name: getattr(self, name)[mask] for name in (
                            'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
 
-    def bundle(self, priors, sigma_px: float) -> Bundle:
+    def bundle(self, priors, sigma_px: float) -> Bundle[ObjectState]:
         """Return the adjustment of these edgels; sigma_px is that of a distance from an edge."""
         _, view = np.unique(self.frame, return_inverse=True)
         return Bundle(KnownEdges(self.points, self.tangents), view, view, self.xy, priors=priors,
@@ -252,14 +252,14 @@ def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
     return ObjectState(Lens.of(start), ObjectPoses(views.cam_from_object.copy()))
 
 
-def _offsets(bundle: Bundle, state: ObjectState) -> np.ndarray:
+def _offsets(bundle: Bundle[ObjectState], state: ObjectState) -> np.ndarray:
     """Residuals as vectors from the edgel to its edge, (N, 2) pixels."""
     edges = cast(KnownEdges, bundle.model)
     return bundle.residuals(state) * edges.normals(state, bundle.view, bundle.xy)
 
 
 def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
-         ) -> tuple[EdgeViews, Bundle, ObjectState] | NoEstimate:
+         ) -> tuple[EdgeViews, Bundle[ObjectState], ObjectState] | NoEstimate:
     """Adjust, estimate the noise, leave out outliers."""
     none = NoEstimate('no_fit_to_edges')
     priors = priors_from_facts(facts)
@@ -295,7 +295,8 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     return views, bundle, bundle.optimise(state, tolerance=1e-6)
 
 
-def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
+def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
+           facts: CameraFacts, size):
     """Return covariance, how much wider it is than for independent errors, findings and status."""
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)
@@ -311,8 +312,8 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
             parameter_status(camera, covariance, facts))
 
 
-def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, variance_inflation: float,
-              ) -> tuple[float, np.ndarray]:
+def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
+              variance_inflation: float) -> tuple[float, np.ndarray]:
     """Return what leaving out a segment of images at a time tells: ratio and covariance."""
     nothing = 1.0, np.zeros((len(state.lens),) * 2)
     frames = views.frames

@@ -25,7 +25,8 @@ from selfcal_ros.calibration.reconstruction import PosePrecision
 from selfcal_ros.geometry.projective import cross_matrix
 
 
-def pose_precision(bundle: Bundle, state: ObjectState, extent: float) -> PosePrecision:
+def pose_precision(bundle: Bundle[ObjectState], state: ObjectState, extent: float,
+                   ) -> PosePrecision:
     """
     Take from an optimum what the covariance of the poses needs.
 

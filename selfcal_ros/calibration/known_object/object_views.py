@@ -24,6 +24,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.object_bend import Bend
 from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_start import linear_view, LinearView
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -59,7 +60,7 @@ class ObjectViews:
     linear: list[LinearView]
     bend: Bend | None = None
 
-    def bundle(self, priors: Priors, sigma_px: float) -> Bundle:
+    def bundle(self, priors: Priors, sigma_px: float) -> Bundle[ObjectState]:
         """Return the adjustment of these observations."""
         return Bundle(KnownPoints(self.points, self.bend), self.view, self.view, self.xy,
                       priors=priors, sigma_px=sigma_px)

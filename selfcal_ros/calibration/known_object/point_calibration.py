@@ -289,7 +289,7 @@ def _start(views: ObjectViews, size, facts: CameraFacts) -> ObjectState:
 
 
 def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
-                ) -> tuple[ObjectViews, Bundle, ObjectState] | NoEstimate:
+                ) -> tuple[ObjectViews, Bundle[ObjectState], ObjectState] | NoEstimate:
     """Adjust, estimate the noise, leave out outliers."""
     priors = priors_from_facts(facts)
     bundle = views.bundle(priors, 1.0)
@@ -320,7 +320,8 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
     return views, bundle, state
 
 
-def _judge(views: ObjectViews, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
+def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState,
+           facts: CameraFacts, size):
     """Return how far errors are shared, the covariance, and every parameter's status."""
     # the shape of a board with the lens: what moves the one moves the other
     information = replace(bundle.information(state), lens=bundle.unknowns.shared)
@@ -332,7 +333,7 @@ def _judge(views: ObjectViews, bundle: Bundle, state: ObjectState, facts: Camera
     return clusters, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
 
-def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
+def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
                        size) -> dict[str, str]:
     """
     Return the parameters that the same views leave open where the lens does not distort.

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.shutter import LINE_DELAY
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.initialisation.view_graph import (build_view_graph, MIN_NOISE_PX,
                                                                ViewGraph)
@@ -171,7 +172,7 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator,
     return NoEstimate('window_outside_lens') if fitted is None else (graph, fitted)
 
 
-def without_camera(bundle: Bundle, free: tuple[str, ...]) -> Bundle:
+def without_camera(bundle: Bundle[SceneState], free: tuple[str, ...]) -> Bundle[SceneState]:
     """Return the same adjustment with these unknowns of the lens free."""
     return bundle.with_priors(bundle.priors.without(free))
 

@@ -114,7 +114,8 @@ def _of_all(fit: RobustFit, observations: Observations) -> RobustFit | None:
     return replace(fit, bundle=fit.bundle.with_sigma(fit.bundle.sigma_px * scale))
 
 
-def _left(observations: Observations, state: SceneState, bundle: Bundle) -> np.ndarray | None:
+def _left(observations: Observations, state: SceneState, bundle: Bundle[SceneState],
+          ) -> np.ndarray | None:
     """Squares (P,) that tracks leave, over the median of chance; infinite for short ones."""
     test = judge_tracks(bundle, state, observations)
     if test is None or not test.tested.any():

@@ -80,7 +80,7 @@ class RigidBody:
     """
 
     views: np.ndarray
-    bundle: Bundle
+    bundle: Bundle[SceneState]
     state: SceneState
 
     def test(self, observations: Observations, spread: float = 1.0,
@@ -241,7 +241,7 @@ def _agreeing(pairs: list[PairGeometry], turns: list[np.ndarray],
 
 def _adjusted(observations: Observations, pairs: list[PairGeometry], turns: np.ndarray,
               camera: Camera, sigma_px: float, rng: np.random.Generator,
-              ) -> tuple[Bundle, SceneState] | None:
+              ) -> tuple[Bundle[SceneState], SceneState] | None:
     """Adjust the body's path and points with the camera held; the better one of two starts."""
     fixed = all_fixed(Lens.of(camera))
     bundle = bundle_of(observations, GENERAL, fixed, sigma_px)
@@ -261,8 +261,8 @@ def _adjusted(observations: Observations, pairs: list[PairGeometry], turns: np.n
     return best
 
 
-def _trimmed(observations: Observations, state: SceneState, bundle: Bundle,
-             ) -> tuple[Bundle, SceneState, float]:
+def _trimmed(observations: Observations, state: SceneState, bundle: Bundle[SceneState],
+             ) -> tuple[Bundle[SceneState], SceneState, float]:
     """Leave out what agrees least, in turns; returns the cost of a degree of freedom, too."""
     views = bundle.blocks.view_count
     for _ in range(TRIMS):
@@ -283,7 +283,7 @@ def _trimmed(observations: Observations, state: SceneState, bundle: Bundle,
     return bundle, state, bundle.cost(state) / max(bundle.degrees_of_freedom, 1)
 
 
-def _from_afar(bundle: Bundle, camera: Camera, pairs: list[PairGeometry],
+def _from_afar(bundle: Bundle[SceneState], camera: Camera, pairs: list[PairGeometry],
                rng: np.random.Generator) -> SceneState:
     """
     Start as if a small body stood far off before a camera that turns after it.

@@ -78,7 +78,7 @@ def freedom_of(count: np.ndarray) -> np.ndarray:
     return np.maximum(2 * count - 3, 0)
 
 
-def judge_tracks(bundle: Bundle, state: SceneState, observations: Observations,
+def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
                  spread: float = 1.0) -> TrackTest | None:
     """
     Judge every track by the poses of a state.
@@ -117,7 +117,7 @@ def judge_tracks(bundle: Bundle, state: SceneState, observations: Observations,
     return judged(observations.point, distance, spread * copies, copies)
 
 
-def instants(bundle: Bundle) -> np.ndarray:
+def instants(bundle: Bundle[SceneState]) -> np.ndarray:
     """Number the views (V,); a frame that repeats the one before has its number."""
     rows = np.lexsort((bundle.view, bundle.part))
     view, point, xy = bundle.view[rows], bundle.part[rows], bundle.xy[rows]

@@ -372,6 +372,7 @@ def best_start(found: RigObservations, reference: Calibration,
         state = bundle.refine_points(with_fixed(start, priors))
         # far from the optimum what fits would be taken for outliers
         state = bundle.optimise(state, iterations=START_ITERATIONS, tolerance=1.0)
+        assert isinstance(state, RigState), 'as it began'
         # wrong tracks may cost less where everything else is bent to them; they are few
         left = bundle.noise_sigma(state)
         if left < least:

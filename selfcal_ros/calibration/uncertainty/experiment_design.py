@@ -147,7 +147,8 @@ def best_motion(suggestions: list[Suggestion], names: tuple,
                     sigma={name: best.sigma[name] for name in names}),)
 
 
-def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> np.ndarray:
+def _information(bundle: Bundle[SceneState], state: SceneState, with_facts: bool = True,
+                 ) -> np.ndarray:
     """Information on the free internal parameters: poses, axis and points eliminated."""
     system = bundle.normal_equations(state, robust=False)
     if not with_facts:
@@ -166,7 +167,7 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
     return matrix[:inner, :inner] - cross @ inverse @ cross.T
 
 
-def _plausible(state: SceneState, bundle: Bundle, size: tuple[int, int]) -> SceneState:
+def _plausible(state: SceneState, bundle: Bundle[SceneState], size: tuple[int, int]) -> SceneState:
     """Put what the images leave open at what most cameras have, so as to simulate one."""
     camera = state.camera(*size)
     covariance = to_parameters(bundle.covariance(state), state.lens)
@@ -239,8 +240,9 @@ def _anyhow(path: AxisPath):
         yield name, turned.placed_at(aside - aside[0]), 1.0
 
 
-def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size, bundle: Bundle,
-              motion: MotionModel, rng) -> tuple[Bundle, SceneState] | None:
+def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size,
+              bundle: Bundle[SceneState], motion: MotionModel, rng,
+              ) -> tuple[Bundle[SceneState], SceneState] | None:
     """Set up the adjustment of simulated views of points before them, at its optimum."""
     camera = state.camera(*size)
     xy = rng.uniform((0, 0), size, (POINTS, 2))

@@ -198,7 +198,7 @@ def gains_of_tracks(fit: RobustFit, instants: tuple[float, ...],
     return _cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying)
 
 
-def _cost_of_tracks(bundle: Bundle, state: SceneState) -> np.ndarray:
+def _cost_of_tracks(bundle: Bundle[SceneState], state: SceneState) -> np.ndarray:
     """Robust cost of every track (P,), units of sigma²."""
     distance = np.linalg.norm(bundle.residuals(state), axis=1) / bundle.sigma_px
     loss = huber_loss(np.nan_to_num(distance, nan=BEHIND_SIGMAS), HUBER_SIGMAS)
