@@ -73,6 +73,11 @@ LONGEST_LEVER = 1.0
 #: What is on the way to such a path already, of starts and of a first fit. Levers of drives were
 #: 3 and more on the way, and 13 and more in the end; of turns 0.6 at most.
 FAR_LEVER = 2.0
+#: A turn with another focal length than rotations alone, by this in its logarithm, may owe it to a
+#: lens of the wrong family. True levers of heads change it by 0.04; bent ones by 0.75 and more.
+FOREIGN_FOCAL = 0.2
+#: The same turn behind a fisheye, with a usual focal length, may cost so many times as much.
+AS_LIKELY = 1.03
 #: Starts that leave less than so many times what the best one leaves may be the right ones.
 LIKELY = 1.5
 #: So many times, before what is left of the starts is known well, is worth a closer look.
@@ -148,6 +153,13 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
     found = _turning_fit(problem, turning, turned)
+    if (not isinstance(found, NoEstimate) and problem.facts.distortion == 'auto'
+            and turned.lens.model.is_perspective and _has_foreign_focal(found[2].fit, turned)):
+        # a fisheye's short lever looks long behind a lens that bends as a perspective one
+        fisheye = with_lens(turned, turning.lens.fit.observations.xy, 'equidistant')
+        rival = _turning_fit(problem, turning, fisheye)
+        if not isinstance(rival, NoEstimate) and _is_as_likely(rival[2].fit, found[2].fit):
+            found, turned = rival, fisheye
     if isinstance(found, NoEstimate):
         return found
     problem, medium, shutter = found
@@ -162,8 +174,8 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     fit = shutter.fit
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
-    model = shutter.widened(
-        choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
+    model = shutter.widened(_model_beside(window, fit, turned, len(medium.view)
+                                          / len(problem.observations.view)))
     fit = model.fit
     assert problem.pivot is not None
     problem = replace(problem, pivot=replace(problem.pivot,
@@ -200,6 +212,28 @@ def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: 
             return moved.saying(left_px=fit.bundle.sigma_px)
         problem, fit = zooming(problem), zoomed
     return problem, medium, choose_shutter(fit, medium, window.facts, window.size)
+
+
+def _model_beside(problem: SelfCalibrationProblem, fit: RobustFit, turned: SceneState,
+                  share: float) -> ModelDecision:
+    """Choose a model, of the lens's own family where another leads to a foreign focal length."""
+    model = choose_model(problem, fit, share)
+    if (problem.facts.distortion != 'auto' or _has_foreign_focal(fit, turned)
+            or not _has_foreign_focal(model.fit, turned)):
+        return model
+    family = 'plumb_bob' if fit.state.lens.model.is_perspective else 'equidistant'
+    facts = replace(problem.facts, distortion=family)
+    return choose_model(replace(problem, facts=facts), fit, share)
+
+
+def _has_foreign_focal(fit: RobustFit, turned: SceneState) -> bool:
+    """Tell whether a turn about a point has quite another focal length than rotations have."""
+    return bool(abs(np.log(fit.state.lens['f'] / turned.lens['f'])) > FOREIGN_FOCAL)
+
+
+def _is_as_likely(rival: RobustFit, fit: RobustFit) -> bool:
+    noise_px = min(rival.bundle.sigma_px, fit.bundle.sigma_px)
+    return cost_of_all_ahead(rival, noise_px) < AS_LIKELY * cost_of_all_ahead(fit, noise_px)
 
 
 def _is_hopeless(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
