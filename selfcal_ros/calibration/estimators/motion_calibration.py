@@ -79,7 +79,8 @@ LITTLE_TURN_RAD = np.radians(35.0)
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Refusals that things that move may be the reason of.
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
-#: Noise of still tracks over that of pairs of images, which what moves only adds to.
+#: Noise of still tracks over that of pairs of images, which what moves only adds to. Drives and
+#: orbits on which nothing moves leave up to 1.15.
 PARTED_NOISE = 1.3
 #: Refusals of cameras that the images leave open, and how much less they leave to be believed.
 OPEN, CLEARLY_LESS = ('parameters_undetermined', 'circle_undetermined'), 0.9
@@ -208,8 +209,8 @@ def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals:
 
 
 def _is_ill_parted(result: Calibration | NoEstimate, problem: SelfCalibrationProblem) -> bool:
-    """Tell whether what was left as still leaves more than pairs of images, of all tracks, do."""
-    return (isinstance(result, Calibration) and result.labels is not None
+    """Tell whether what counts as still leaves more than pairs of images, of all tracks, do."""
+    return (isinstance(result, Calibration)
             and result.noise_sigma_px > PARTED_NOISE * problem.noise_px)
 
 

@@ -79,6 +79,10 @@ CLEARLY_LESS_NOISE = 0.97
 #: Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
 MAX_NOISE_OF_WEAK_PATH = 10.0
 
+#: A free path that knows the focal length to no more than this share of it is weak, too: behind a
+#: fisheye pairs of a head's views show what looks like parallax.
+LOOSE_FOCAL = 0.03
+
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
 SHORT_PATH = 0.3
@@ -299,8 +303,7 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
         # fundamental matrices of nearly a plane start nothing
         plane = case.over_a_plane(graph)
         path = plane if plane else path
-    if (path and case.has_enough_views and rotations is None and not may_vary
-            and left_by_turns(graph, path.camera) < MAX_NOISE_OF_WEAK_PATH):
+    if case.has_enough_views and rotations is None and not may_vary and _may_be_weak(path, graph):
         # what pairs show beside a homography was no parallax
         nearly = fit_rotations(graph.tracks, case.size, case.facts,
                                MAX_NOISE_OF_START * graph.noise_px)
@@ -308,7 +311,8 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
             turn = case.about_a_point(nearly)
             if turn is not None and turn.result and turn.is_sure(graph.noise_px):
                 return turn.result
-        path = case.path(nearly, is_weak=True)
+        if path and _is_nearly_turn(path, graph):
+            path = case.path(nearly, is_weak=True)
     if turn is not None:
         return _of_turn_and_path(turn, path)
     if not case.has_little_parallax or (path and rotations is not None):
@@ -316,11 +320,29 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
     return case.rotation_or(path, rotations)
 
 
+def _is_nearly_turn(path: Calibration, graph: ViewGraph) -> bool:
+    """Tell whether turns alone would leave little, behind the camera of a path."""
+    return left_by_turns(graph, path.camera) < MAX_NOISE_OF_WEAK_PATH
+
+
+def _may_be_weak(path: Calibration | NoEstimate, graph: ViewGraph) -> bool:
+    """Tell whether a path may owe its translations to the lens."""
+    if isinstance(path, NoEstimate):
+        return path.kind in OF_OPEN_PATH
+    return _has_loose_focal(path) or _is_nearly_turn(path, graph)
+
+
+def _has_loose_focal(path: Calibration) -> bool:
+    """Tell whether a path knows the focal length too badly to be believed beside a turn."""
+    return bool(path.sigma['fx'] > LOOSE_FOCAL * path.camera.K[0, 0])
+
+
 def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration | NoEstimate:
     """Choose the path where it leaves clearly less, or settles what the turn leaves open."""
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
     clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
-    return path if clearer or (path and turn.leaves_open) else turn.result
+    settles = path and turn.leaves_open and not _has_loose_focal(path)
+    return path if clearer or settles else turn.result
 
 
 def _leaves_open_as_well(plane: Calibration | NoEstimate, path: Calibration | NoEstimate) -> bool:

@@ -52,6 +52,7 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import unit
@@ -153,15 +154,15 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
     found = _turning_fit(problem, turning, turned)
-    if (not isinstance(found, NoEstimate) and problem.facts.distortion == 'auto'
-            and turned.lens.model.is_perspective and _has_foreign_focal(found[2].fit, turned)):
-        # a fisheye's short lever looks long behind a lens that bends as a perspective one
-        fisheye = with_lens(turned, turning.lens.fit.observations.xy, 'equidistant')
-        rival = _turning_fit(problem, turning, fisheye)
-        if not isinstance(rival, NoEstimate) and _is_as_likely(rival[2].fit, found[2].fit):
-            found, turned = rival, fisheye
     if isinstance(found, NoEstimate):
         return found
+    if (problem.facts.distortion == 'auto' and turned.lens.model.is_perspective
+            and _has_foreign_focal(found[2].fit, turned)):
+        # a fisheye's short lever looks long behind a lens that bends as a perspective one
+        fisheye = _as_fisheye(turned, turning.lens.fit.observations.xy)
+        rival = _turning_fit(problem, turning, fisheye) if fisheye else None
+        if fisheye and rival and _is_as_likely(rival[2].fit, found[2].fit):
+            found, turned = rival, fisheye
     problem, medium, shutter = found
     window = problem.window()
     mixed = of_two_cameras(shutter.fit, window, graph)
@@ -224,6 +225,16 @@ def _model_beside(problem: SelfCalibrationProblem, fit: RobustFit, turned: Scene
     family = 'plumb_bob' if fit.state.lens.model.is_perspective else 'equidistant'
     facts = replace(problem.facts, distortion=family)
     return choose_model(replace(problem, facts=facts), fit, share)
+
+
+def _as_fisheye(state: SceneState, xy: np.ndarray) -> SceneState | None:
+    """Return a state with the nearest equidistant lens; None where none bends so."""
+    fisheye = with_lens(state, xy, 'equidistant')
+    try:
+        fisheye.camera()
+    except ArgumentError:
+        return None
+    return fisheye
 
 
 def _has_foreign_focal(fit: RobustFit, turned: SceneState) -> bool:
