@@ -40,6 +40,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
@@ -91,7 +92,8 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     Raises
     ------
     ArgumentError
-        If `motion` is unknown, or `views` or `parallel_objects` does not suit it.
+        If `motion` is unknown, `views` or `parallel_objects` does not suit it, or the lens of
+        `start` is of a model that is never estimated.
 
     References
     ----------
@@ -182,10 +184,9 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
     elif motion == 'repeated':
         result = calibrate_repeated_objects(graph, size, facts, translation_frames)
     elif views is not None:
-        result = calibrate_few_views(graph, size, facts, [start] if start else [])
+        result = calibrate_few_views(graph, size, facts, _proposals(start))
     else:
-        result = calibrate_moving(MovingCamera(graph, size, facts, motion,
-                                               [start] if start else []))
+        result = calibrate_moving(MovingCamera(graph, size, facts, motion, _proposals(start)))
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
             of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, rng=rng,
@@ -198,6 +199,14 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
     hint = only_a_hint(result)
     return result if hint is None else NotCalibrated.of(hint, frames=result.frames,
                                                         software=software)
+
+
+def _proposals(start: Camera | None) -> list[Camera]:
+    """Return a camera to try first, with a lens that can be estimated."""
+    if start is None:
+        return []
+    models = {model.name for model, _ in LENS_CHOICES.values()}
+    return [start if start.model in models else start.as_model('equidistant')]
 
 
 def _beside_turns(whole: Calibration | NotCalibrated, tracks: Tracks, **how: Any,

@@ -16,6 +16,7 @@
 import numpy as np
 import pytest
 
+from selfcal_ros import calibrate
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -26,8 +27,10 @@ from selfcal_ros.calibration.estimators.lens_selection import with_lens, gentle_
 from selfcal_ros.calibration.initialisation.initial_structure import (chained_centres,
                                                                       PairGeometry,
                                                                       relative_rotations)
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, vehicle
 
 SIZE = (752, 480)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='plumb_bob')
@@ -78,3 +81,26 @@ def test_pairs_where_a_supposed_lens_has_no_rays_are_no_cause_for_a_warning():
     for planar in (False, True):
         assert np.isfinite(chained_centres([pair], lens, np.tile(np.eye(3), (2, 1, 1)),
                                            planar)).all()
+
+
+@pytest.mark.parametrize('stated, begun', [
+    ('equidistant', 'plumb_bob'), ('rational', 'plumb_bob'), ('plumb_bob', 'equidistant'),
+    ('plumb_bob', 'rational_polynomial'), ('equidistant', 'rational_polynomial')])
+def test_a_start_may_have_another_lens_than_the_stated_one(stated, begun):
+    """The closed form of planar motion knows no lens: its camera has that of a pinhole."""
+    drive = vehicle(np.random.default_rng(3), s_curve(12))
+    start = Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], (), 640, 480, begun)
+    result = calibrate(drive.tracks, start=start, facts=CameraFacts(
+        aspect_ratio=1.0, skew=0.0, distortion=stated))
+
+    assert result.facts.distortion == stated
+    away = np.abs(result.camera.parameters[[0, 2, 3]] - CAMERA.parameters[[0, 2, 3]])
+    assert (away < 4 * np.array([result.sigma[name] for name in ('fx', 'cx', 'cy')])).all()
+
+
+def test_a_start_whose_lens_is_never_estimated_is_refused_in_a_sentence():
+    drive = vehicle(np.random.default_rng(3), s_curve(12))
+    start = Camera(CAMERA.K, [0.9], 640, 480, 'fov')
+
+    with pytest.raises(ArgumentError, match='fov'):
+        calibrate(drive.tracks, start=start)

@@ -173,9 +173,12 @@ def start_lens(facts: CameraFacts, model: LensModel | None = None) -> Priors:
 
     Decentring, and what bends the outermost image alone, wait until there is a start.
     """
-    if model is not None and not model.is_perspective:
+    stated = LENS_CHOICES.get(facts.distortion, LENS_CHOICES['radial2'])[0]
+    if model is not None and model is not stated:
         # a start of another family than the one that is stated
-        facts = replace(facts, distortion=model.name)
+        facts = replace(facts, distortion=next(
+            name for name, (one, free) in LENS_CHOICES.items()
+            if one is model and free == model.coefficients))
     priors = priors_from_facts(facts)
     waiting = {name: Prior(0.0, 0.0) for name in priors.lens.coefficients
                if name not in START_SIGMA[priors.lens.name]}

@@ -1,0 +1,206 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Worlds drawn at random from all troubles at once, in the simulation of `../shared/world_cases.py`.
+
+Nobody chose what meets what: motion, lens, noise, number of views and points are drawn, and so is
+whether patches drift, rows are read in turn, the lens zooms, something moves, a pattern repeats,
+tracks are spoilt, or nothing is stated. Every seed is another world. It finds the errors that no
+list of cases has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import time
+
+from bench.calibration import further_worlds
+from bench.calibration.further_worlds import SQUARE, WARNINGS, World
+from bench.calibration.suppositions import load_worlds, MAX_SIGMAS
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
+import numpy as np
+from selfcal_ros import calibrate, CameraFacts, Tracks
+
+#: Names of motions, and how often each is drawn.
+MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, 'arc': 0.1}
+#: What happens to the tracks afterwards; a quarter of the worlds has one of them.
+SPOILT = {'stab': further_worlds.stabilised(0.4), 'round': further_worlds.rounded(0.5),
+          'lev': further_worlds.of_levels, 'mist': further_worlds.mistaken(0.08),
+          'body': further_worlds.beside_own_body(0.12), 'walk': further_worlds.drifting(0.08),
+          'torn': further_worlds.in_some_images(2, further_worlds.torn),
+          'upright': further_worlds.upright}
+#: Results with a sigma of the focal length beyond this share of it are not for use, and say so.
+HINT = 0.03
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    What came of a world.
+
+    Attributes
+    ----------
+    world : str
+        The troubles that it has.
+    refused : str
+        Why there is no result; empty where there is one, 'none' where nothing was seen.
+    away : float
+        Largest deviation of K in its own sigmas.
+    sigma : float
+        Of the focal length, as a share of it.
+    told : bool
+        Whether something was said that is about K.
+    seconds : float
+
+    """
+
+    world: str
+    refused: str = ''
+    away: float = np.nan
+    sigma: float = np.nan
+    told: bool = False
+    seconds: float = 0.0
+
+
+def draw(seed: int) -> tuple[dict, str, str]:
+    """Draw a world: options of `world_cases.cond`, what spoils its tracks, and all it has."""
+    cases, rng = load_worlds(), np.random.default_rng([seed, 4711])
+    motion = str(rng.choice([*MOTIONS], p=[*MOTIONS.values()]))
+    world: dict = {'facts': dict(SQUARE)}
+    has = [motion]
+    if motion in ('agv', 'gen', 'genroom'):
+        world['base'] = motion
+    if motion == 'agv':
+        world['path'] = {}
+        if rng.random() < 0.5:
+            world['path']['amp'] = float(rng.uniform(12, 45))
+        if rng.random() < 0.3:
+            world['path']['wob'] = float(rng.uniform(0.1, 1.5))
+    elif motion == 'ptu':
+        world |= {'base': 'fn', 'mkpath': cases.ptu(float(rng.uniform(0, 0.15)),
+                                                    float(rng.uniform(12, 25)))}
+    elif motion == 'orbit':
+        world |= {'base': 'fn', 'mkpath': cases.orbit(float(rng.uniform(40, 300)),
+                                                      el=float(rng.uniform(0.2, 0.6)))}
+    elif motion == 'arc':
+        world |= {'base': 'fn', 'mkpath': cases.arc(float(rng.uniform(35, 160)),
+                                                    float(rng.uniform(0.2, 2.5)))}
+    world['cam'], lens = _lens(rng)
+    has.append(lens)
+    world['noise'] = float(np.exp(rng.uniform(np.log(0.08), np.log(0.6))))
+    world['kind'] = str(rng.choice(['gauss', 'laplace', 'mix', 't3']))
+    world['n'], world['per_view'] = int(rng.integers(6, 36)), int(rng.integers(40, 160))
+    world['out'] = float(rng.choice([0.01, 0.03, 0.1]))
+    if rng.random() < 0.3:
+        world['bias'] = float(rng.uniform(0.05, 0.3))
+        has.append('drift')
+    seconds = float(world['n'] * rng.uniform(0.2, 0.5))
+    if rng.random() < 0.25 and motion in ('agv', 'gen', 'genroom'):
+        world['rs'] = float(rng.uniform(0.004, 0.03))
+        world.setdefault('path', {})['T'] = seconds
+        has.append(f'rows in {1e3 * world["rs"]:.0f} ms')
+    if rng.random() < 0.15:
+        growth = float(rng.uniform(0.003, 0.05))
+        world['fs'] = lambda at: 1 + growth * (2 * at - 1)
+        has.append(f'zoom {growth:.3f}')
+    if rng.random() < 0.25 and motion in ('agv', 'genroom'):
+        share = float(rng.uniform(0.05, 0.28))
+        world['moving'] = {'share': share, 'f': (
+            cases.cross(float(rng.uniform(0.3, 1.0)))
+            if rng.random() < 0.6 or motion != 'agv' else
+            cases.ahead(float(rng.uniform(1.4, 3))))}
+        has.append(f'moving {share:.2f}')
+    if rng.random() < 0.1 and 'moving' not in world:
+        world['alias'] = (float(rng.uniform(0.05, 0.2)), 0.25, bool(rng.integers(2)))
+        has.append('pattern')
+    spoilt = str(rng.choice([*SPOILT])) if rng.random() < 0.25 else ''
+    if rng.random() < 0.15:
+        world['facts'] = {}
+    return world, spoilt, ', '.join([*has, *filter(None, [spoilt]),
+                                     *([] if world['facts'] else ['nothing stated'])])
+
+
+def _lens(rng: np.random.Generator) -> tuple[object, str]:
+    """Draw a camera of the simulation: an ordinary one, a fisheye, or a long lens."""
+    cases = load_worlds()
+    kind = rng.random()
+    k1 = float(rng.normal(-0.15, 0.1))
+    decentred = rng.normal(0, 6e-4, 2)
+    if kind < 0.7:
+        return cases.Cam(f=float(rng.uniform(380, 900)), d=(
+            k1, 0.7 * k1 * k1 + float(rng.normal(0, 0.02)), *map(float, decentred), 0)), 'ordinary'
+    if kind < 0.95:
+        return cases.Cam(f=float(rng.uniform(250, 420)), kb=(
+            float(rng.normal(-0.01, 0.02)), float(rng.normal(0, 0.004)), 0, 0)), 'fisheye'
+    return cases.Cam(f=float(rng.uniform(900, 1600)),
+                     d=(float(rng.normal(0, 0.05)), 0, 0, 0, 0)), 'long'
+
+
+def build(seed: int) -> tuple[World, dict, str] | None:
+    """Build a world, its facts and what it has; None where nothing is seen in it."""
+    cases, name = load_worlds(), f'mixw{seed}'
+    cases.C[name], spoilt, has = draw(seed)
+    try:
+        case = cases.build(name, seed)
+    except ValueError:
+        return None
+    world = World(case['F'], case['T'], case['XY'], tuple(case['size']), case['truth'][:4])
+    if spoilt:
+        world = SPOILT[spoilt](world, np.random.default_rng([seed, 17]))
+    return world, case['facts'], has
+
+
+def one_run(seed: int) -> Outcome:
+    """Calibrate in one world."""
+    built = build(seed)
+    if built is None:
+        return Outcome('', 'none')
+    world, facts, has = built
+    began = time.perf_counter()
+    result = calibrate(Tracks(world.frame, world.track, world.xy, world.size),
+                       facts=CameraFacts(**facts))
+    seconds = time.perf_counter() - began
+    if not result:
+        return Outcome(has, result.kind, seconds=seconds)
+    sigma = np.array([result.sigma[one] for one in ('fx', 'fy', 'cx', 'cy')])
+    error = np.abs(result.camera.parameters[:4] - world.truth)
+    told = any(one.kind in WARNINGS for one in result.findings)
+    return Outcome(has, away=float(np.max(error / np.maximum(sigma, 1e-12))),
+                   sigma=float(sigma[0] / result.camera.K[0, 0]), told=told, seconds=seconds)
+
+
+def run(report: Report, options) -> None:
+    """Print what was refused and what is far off, and the shares."""
+    if load_worlds() is None:
+        report.say('left out: ../shared/world_cases.py is not there')
+        return
+    seeds = range(30001, 30001 + (options.runs or 300))
+    report.section(f'{len(seeds)} worlds drawn at random', 'silent: K beyond '
+                   f'{MAX_SIGMAS:g} sigmas, its focal length known to {100 * HINT:g} %, and '
+                   'nothing said that is about K. Zooms have no single truth, and do not count.')
+    found = {seed: one for seed, one in zip(seeds, run_seeds(one_run, seeds, options.processes))
+             if one.refused != 'none'}
+    right = [one for one in found.values() if not one.refused]
+    silent = [seed for seed, one in found.items() if one.away > MAX_SIGMAS and not one.told
+              and one.sigma < HINT and 'zoom' not in one.world]
+    report.table(('seed', 'world', 'came of it'), [
+        (seed, one.world, one.refused or f'{one.away:.1f} sigmas, {100 * one.sigma:.2g} %')
+        for seed, one in found.items() if one.refused or one.away > 3])
+    report.say('')
+    report.say(f'{len(found)} worlds: {len(right)} calibrated, '
+               f'{len(found) - len(right)} refused; median '
+               f'{np.median([one.seconds for one in found.values()]):.1f} s, at most '
+               f'{max(one.seconds for one in found.values()):.0f} s')
+    report.verdict('silent', len(silent), 0)
