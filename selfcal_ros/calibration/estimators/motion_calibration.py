@@ -91,6 +91,8 @@ POORLY_EXPLAINED = 1.5
 #: A focal length with a larger sigma than this share of it may be that of another optimum: the
 #: factors of the ones to begin at once more.
 LOOSE_FOCAL, OTHER_STARTS = 0.02, (1.0, 0.8, 1.25)
+#: Another optimum is better where the cost falls by so much, in units of sigma².
+BETTER_BY = 1.0
 #: Things that move bend the focal length, too: factors of the ones to part them from.
 BESIDE_BENT = (1.0, 0.9, 1.1)
 
@@ -191,8 +193,10 @@ def _likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph
             found.append(other)
     noise_px = min(one.noise_sigma_px for one in found)
     # half the squares of both coordinates; outliers count what makes them such
-    return min(found, key=lambda one: one.observation_count * (one.noise_sigma_px / noise_px)**2
-               + 0.5 * OUTLIER_SIGMAS**2 * one.outlier_count)
+    cost = [one.observation_count * (one.noise_sigma_px / noise_px)**2
+            + 0.5 * OUTLIER_SIGMAS**2 * one.outlier_count for one in found]
+    best = int(np.argmin(cost))
+    return found[best] if cost[best] < cost[0] - BETTER_BY else result
 
 
 def _is_final(refusal: NoEstimate) -> bool:

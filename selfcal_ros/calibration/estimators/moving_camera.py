@@ -341,7 +341,8 @@ def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration
     """Choose the path where it leaves clearly less, or settles what the turn leaves open."""
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
     clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
-    settles = path and turn.leaves_open and not _has_loose_focal(path)
+    settles = path and turn.leaves_open and not (
+        _has_loose_focal(path) and left_px < CLEARLY_LESS_NOISE * path.noise_sigma_px)
     return path if clearer or settles else turn.result
 
 

@@ -63,8 +63,9 @@ RIVALS = 4
 #: Free translations beside a short lever are not regular unknowns, and lower the cost by up to
 #: five times what their number lets expect though the point is fixed.
 NEARLY_FIXED = 6.0
-#: Where more than this share of the observations contradict, it is the point that moves.
-MOST_LOST = 0.1
+#: Where more than this share of the observations contradict, it is the point that moves. A tenth
+#: of gross errors, of which pairs of images show but a part, is no such sign.
+MOST_LOST = 0.15
 #: Where the likeliest turn leaves more than so many times the noise, and so do rotations alone, no
 #: model of lens or shutter makes a turn of it.
 HOPELESS = 4.0
@@ -77,7 +78,7 @@ FAR_LEVER = 2.0
 #: A turn with another focal length than rotations alone, by this in its logarithm, may owe it to a
 #: lens of the wrong family. True levers of heads change it by 0.04; bent ones by 0.75 and more.
 FOREIGN_FOCAL = 0.2
-#: The same turn behind a fisheye, with a usual focal length, may cost so many times as much.
+#: The same turn behind a lens of the other kind may cost so many times as much.
 AS_LIKELY = 1.03
 #: Starts that leave less than so many times what the best one leaves may be the right ones.
 LIKELY = 1.5
@@ -146,9 +147,27 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         No estimate where it does not turn, or nothing to start with is found.
 
     """
-    turned = turning.lens.fit.state
+    turned, xy = turning.lens.fit.state, turning.lens.fit.observations.xy
     if turned.lens.model.is_perspective:
-        turned = with_lens(turned, turning.lens.fit.observations.xy, 'plumb_bob')
+        turned = with_lens(turned, xy, 'plumb_bob')
+    found = _decided(problem, graph, turning, turned)
+    if not found or problem.facts.distortion != 'auto' or not _has_foreign_focal(found, turned):
+        return found
+    # a short lever looks long behind a lens of another kind
+    for family in ('equidistant', 'plumb_bob'):
+        other = _with_family(turned, xy, family)
+        rival = None if other is None else _decided(
+            replace(problem, facts=replace(problem.facts, distortion=family)), graph, turning,
+            other)
+        if (rival and not _has_foreign_focal(rival, turned)
+                and _is_as_likely(rival[1].model.fit, found[1].model.fit)):
+            return replace(rival[0], facts=problem.facts), rival[1]
+    return found
+
+
+def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: RotationFit,
+             turned: SceneState) -> tuple[SelfCalibrationProblem, PivotDecision] | NoEstimate:
+    """Explain views by turns about a fixed point, from the rotations of one camera."""
     rotations = _of_all_views(problem, graph, turning, turned)
     if rotations is None:
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
@@ -156,13 +175,6 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     found = _turning_fit(problem, turning, turned)
     if isinstance(found, NoEstimate):
         return found
-    if (problem.facts.distortion == 'auto' and turned.lens.model.is_perspective
-            and _has_foreign_focal(found[2].fit, turned)):
-        # a fisheye's short lever looks long behind a lens that bends as a perspective one
-        fisheye = _as_fisheye(turned, turning.lens.fit.observations.xy)
-        rival = _turning_fit(problem, turning, fisheye) if fisheye else None
-        if fisheye and rival and _is_as_likely(rival[2].fit, found[2].fit):
-            found, turned = rival, fisheye
     problem, medium, shutter = found
     window = problem.window()
     mixed = of_two_cameras(shutter.fit, window, graph)
@@ -175,8 +187,8 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     fit = shutter.fit
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
-    model = shutter.widened(_model_beside(window, fit, turned, len(medium.view)
-                                          / len(problem.observations.view)))
+    model = shutter.widened(
+        choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
     fit = model.fit
     assert problem.pivot is not None
     problem = replace(problem, pivot=replace(problem.pivot,
@@ -215,31 +227,21 @@ def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: 
     return problem, medium, choose_shutter(fit, medium, window.facts, window.size)
 
 
-def _model_beside(problem: SelfCalibrationProblem, fit: RobustFit, turned: SceneState,
-                  share: float) -> ModelDecision:
-    """Choose a model, of the lens's own family where another leads to a foreign focal length."""
-    model = choose_model(problem, fit, share)
-    if (problem.facts.distortion != 'auto' or _has_foreign_focal(fit, turned)
-            or not _has_foreign_focal(model.fit, turned)):
-        return model
-    family = 'plumb_bob' if fit.state.lens.model.is_perspective else 'equidistant'
-    facts = replace(problem.facts, distortion=family)
-    return choose_model(replace(problem, facts=facts), fit, share)
-
-
-def _as_fisheye(state: SceneState, xy: np.ndarray) -> SceneState | None:
-    """Return a state with the nearest equidistant lens; None where none bends so."""
-    fisheye = with_lens(state, xy, 'equidistant')
+def _with_family(state: SceneState, xy: np.ndarray, family: str) -> SceneState | None:
+    """Return a state with the nearest lens of a family; None where none bends so."""
+    state = with_lens(state, xy, family)
     try:
-        fisheye.camera()
+        state.camera()
     except ArgumentError:
         return None
-    return fisheye
+    return state
 
 
-def _has_foreign_focal(fit: RobustFit, turned: SceneState) -> bool:
+def _has_foreign_focal(found: tuple[SelfCalibrationProblem, PivotDecision],
+                       turned: SceneState) -> bool:
     """Tell whether a turn about a point has quite another focal length than rotations have."""
-    return bool(abs(np.log(fit.state.lens['f'] / turned.lens['f'])) > FOREIGN_FOCAL)
+    lens = found[1].model.fit.state.lens
+    return bool(abs(np.log(lens['f'] / turned.lens['f'])) > FOREIGN_FOCAL)
 
 
 def _is_as_likely(rival: RobustFit, fit: RobustFit) -> bool:

@@ -45,7 +45,7 @@
     find('parameters').replaceChildren(...rows);
     document.querySelector('#numbers table').hidden = !rows.length;
     words('state', rows.length ? 'Calibrated' : 'Not calibrated');
-    find('save').disabled = !rows.length;
+    find('save').classList.toggle('ready', rows.length > 0);
     const rms = state.rms_px === null ? '' : `Reprojection ${state.rms_px.toFixed(3)} px rms, ` +
       `motion ${state.motion}.`;
     words('text', state.alive && rows.length && state.is_well ? rms : state.text);
