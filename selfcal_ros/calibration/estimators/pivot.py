@@ -159,7 +159,7 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         rival = None if other is None else _decided(
             replace(problem, facts=replace(problem.facts, distortion=family)), graph, turning,
             other)
-        if (rival and not _has_foreign_focal(rival, turned)
+        if (rival and (rival[1].is_rotation or not _has_foreign_focal(rival, turned))
                 and _is_as_likely(rival[1].model.fit, found[1].model.fit)):
             return replace(rival[0], facts=problem.facts), rival[1]
     return found
