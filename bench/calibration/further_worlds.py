@@ -31,7 +31,7 @@ from bench.calibration.suppositions import load_worlds, MAX_SIGMAS
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
-from selfcal_ros import calibrate, CameraFacts, Tracks
+from selfcal_ros import calibrate, Calibration, CameraFacts, NotCalibrated, Tracks
 
 SQUARE = {'aspect_ratio': 1.0, 'skew': 0.0}
 #: Findings beside which a K that is far off does not count as silent.
@@ -61,6 +61,22 @@ class World:
     xy: np.ndarray
     size: tuple[int, int]
     truth: np.ndarray
+
+    @classmethod
+    def of(cls, case: dict) -> World:
+        """Take what `world_cases.build` returns."""
+        return cls(case['F'], case['T'], case['XY'], tuple(case['size']), case['truth'][:4])
+
+    def calibrated(self, facts: dict) -> Calibration | NotCalibrated:
+        """Calibrate from the tracks."""
+        return calibrate(Tracks(self.frame, self.track, self.xy, self.size),
+                         facts=CameraFacts(**facts))
+
+    def away(self, result: Calibration) -> float:
+        """Return the largest deviation of K from the truth, in stated sigmas."""
+        sigma = np.array([result.sigma[one] for one in ('fx', 'fy', 'cx', 'cy')])
+        return float(np.max(np.abs(result.camera.parameters[:4] - self.truth)
+                            / np.maximum(sigma, 1e-12)))
 
 
 @dataclass(frozen=True)
@@ -283,18 +299,14 @@ def one_run(task: tuple) -> tuple[str, float, tuple[str, ...]]:
     built = f'{base}_{day.name}'
     known = dict(cases.C[built])
     cases.C[name] = {**known, **({} if 'base' in day.world else {'base': base}), **day.world}
-    case = cases.build(name, seed)
-    world = World(case['F'], case['T'], case['XY'], tuple(case['size']), case['truth'][:4])
+    world = World.of(cases.build(name, seed))
     if day.change is not None:
         world = day.change(world, np.random.default_rng([seed, 17]))
-    result = calibrate(Tracks(world.frame, world.track, world.xy, world.size),
-                       facts=CameraFacts(**{**SQUARE, **day.facts}))
+    result = world.calibrated({**SQUARE, **day.facts})
     found = tuple(one.kind for one in result.findings)
     if not result:
         return result.kind, np.nan, found
-    sigma = np.array([result.sigma[one] for one in ('fx', 'fy', 'cx', 'cy')])
-    return '', float(np.max(np.abs(result.camera.parameters[:4] - world.truth)
-                            / np.maximum(sigma, 1e-12))), found
+    return '', world.away(result), found
 
 
 def run(report: Report, options) -> None:

@@ -31,14 +31,15 @@ from bench.calibration.suppositions import load_worlds, MAX_SIGMAS
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
-from selfcal_ros import calibrate, CameraFacts, Tracks
 
 #: Names of motions, and how often each is drawn.
 MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, 'arc': 0.1}
 #: What happens to the tracks afterwards; a quarter of the worlds has one of them.
-SPOILT = {'stab': further_worlds.stabilised(0.4), 'round': further_worlds.rounded(0.5),
-          'lev': further_worlds.of_levels, 'mist': further_worlds.mistaken(0.08),
-          'body': further_worlds.beside_own_body(0.12), 'walk': further_worlds.drifting(0.08),
+SPOILT = {'stabilised': further_worlds.stabilised(0.4), 'half pixels': further_worlds.rounded(0.5),
+          'levels of a pyramid': further_worlds.of_levels,
+          'mistaken': further_worlds.mistaken(0.08),
+          'own body': further_worlds.beside_own_body(0.12),
+          'tracks that walk': further_worlds.drifting(0.08),
           'torn': further_worlds.in_some_images(2, further_worlds.torn),
           'upright': further_worlds.upright}
 
@@ -76,27 +77,9 @@ def draw(seed: int) -> tuple[dict, str, str]:
     """Draw a world: options of `world_cases.cond`, what spoils its tracks, and all it has."""
     cases, rng = load_worlds(), np.random.default_rng([seed, 4711])
     motion = str(rng.choice([*MOTIONS], p=[*MOTIONS.values()]))
-    world: dict = {'facts': dict(SQUARE)}
-    has = [motion]
-    if motion in ('agv', 'gen', 'genroom'):
-        world['base'] = motion
-    if motion == 'agv':
-        world['path'] = {}
-        if rng.random() < 0.5:
-            world['path']['amp'] = float(rng.uniform(12, 45))
-        if rng.random() < 0.3:
-            world['path']['wob'] = float(rng.uniform(0.1, 1.5))
-    elif motion == 'ptu':
-        world |= {'base': 'fn', 'mkpath': cases.ptu(float(rng.uniform(0, 0.15)),
-                                                    float(rng.uniform(12, 25)))}
-    elif motion == 'orbit':
-        world |= {'base': 'fn', 'mkpath': cases.orbit(float(rng.uniform(40, 300)),
-                                                      el=float(rng.uniform(0.2, 0.6)))}
-    elif motion == 'arc':
-        world |= {'base': 'fn', 'mkpath': cases.arc(float(rng.uniform(35, 160)),
-                                                    float(rng.uniform(0.2, 2.5)))}
+    world = {'facts': dict(SQUARE), **_path(motion, rng)}
     world['cam'], lens = _lens(rng)
-    has.append(lens)
+    has = [motion, lens]
     world['noise'] = float(np.exp(rng.uniform(np.log(0.08), np.log(0.6))))
     world['kind'] = str(rng.choice(['gauss', 'laplace', 'mix', 't3']))
     world['n'], world['per_view'] = int(rng.integers(6, 36)), int(rng.integers(40, 160))
@@ -130,6 +113,26 @@ def draw(seed: int) -> tuple[dict, str, str]:
                                      *([] if world['facts'] else ['nothing stated'])])
 
 
+def _path(motion: str, rng: np.random.Generator) -> dict:
+    """Draw what a motion leaves open: how far it turns, how rough it is, how long its lever is."""
+    cases = load_worlds()
+    if motion == 'agv':
+        path = {}
+        if rng.random() < 0.5:
+            path['amp'] = float(rng.uniform(12, 45))
+        if rng.random() < 0.3:
+            path['wob'] = float(rng.uniform(0.1, 1.5))
+        return {'base': motion, 'path': path}
+    if motion in ('gen', 'genroom'):
+        return {'base': motion}
+    # each draws in the order of its arguments
+    made = {'ptu': lambda: cases.ptu(float(rng.uniform(0, 0.15)), float(rng.uniform(12, 25))),
+            'orbit': lambda: cases.orbit(float(rng.uniform(40, 300)),
+                                         el=float(rng.uniform(0.2, 0.6))),
+            'arc': lambda: cases.arc(float(rng.uniform(35, 160)), float(rng.uniform(0.2, 2.5)))}
+    return {'base': 'fn', 'mkpath': made[motion]()}
+
+
 def _lens(rng: np.random.Generator) -> tuple[object, str]:
     """Draw a camera of the simulation: an ordinary one, a fisheye, or a long lens."""
     cases = load_worlds()
@@ -154,7 +157,7 @@ def build(seed: int) -> tuple[World, dict, str] | None:
         case = cases.build(name, seed)
     except ValueError:
         return None
-    world = World(case['F'], case['T'], case['XY'], tuple(case['size']), case['truth'][:4])
+    world = World.of(case)
     if spoilt:
         world = SPOILT[spoilt](world, np.random.default_rng([seed, 17]))
     return world, case['facts'], has
@@ -167,16 +170,13 @@ def one_run(seed: int) -> Outcome:
         return Outcome('', 'none')
     world, facts, has = built
     began = time.perf_counter()
-    result = calibrate(Tracks(world.frame, world.track, world.xy, world.size),
-                       facts=CameraFacts(**facts))
+    result = world.calibrated(facts)
     seconds = time.perf_counter() - began
     if not result:
         return Outcome(has, result.kind, seconds=seconds)
-    sigma = np.array([result.sigma[one] for one in ('fx', 'fy', 'cx', 'cy')])
-    error = np.abs(result.camera.parameters[:4] - world.truth)
     told = any(one.kind in WARNINGS for one in result.findings)
-    return Outcome(has, away=float(np.max(error / np.maximum(sigma, 1e-12))),
-                   sigma=float(sigma[0] / result.camera.K[0, 0]), told=told, seconds=seconds)
+    return Outcome(has, away=world.away(result), sigma=result.focal_sigma_share, told=told,
+                   seconds=seconds)
 
 
 def run(report: Report, options) -> None:

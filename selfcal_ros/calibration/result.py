@@ -274,6 +274,11 @@ class Calibration:
         return dict(zip(self.parameter_names, np.sqrt(np.diag(self.covariance)).tolist()))
 
     @property
+    def focal_sigma_share(self) -> float:
+        """Standard deviation of fx as a share of fx."""
+        return float(self.sigma['fx'] / self.camera.K[0, 0])
+
+    @property
     def grade(self) -> str:
         """'good', 'partial' (something is not determined) or 'coarse' (fx, to more than 1 %)."""
         return grade_of(self.camera.K, self.covariance, self.status)

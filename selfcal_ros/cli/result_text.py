@@ -81,7 +81,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         decimals = 3 if name in _PIXELS else 5
         sigma = result.sigma[name]
         spread = {'held': '-', 'unobservable': 'unknown'}.get(status, f'{sigma:.{decimals}f}')
-        row = f'{name:>6} {value:>12.{decimals}f} ± {spread:>9}'
+        row = f'{name:>6} {value:>z12.{decimals}f} ± {spread:>9}'
         if truth:
             row += _beside(value, sigma if status == 'estimated' else 0.0, truth.get(name),
                            decimals)
@@ -110,7 +110,7 @@ def _beside(value, sigma, true, decimals) -> str:
 def _verdict(result: Calibration) -> str:
     """Say in a sentence what was found, and how good it is."""
     camera = result.camera
-    share = 100 * result.sigma['fx'] / camera.K[0, 0]
+    share = 100 * result.focal_sigma_share
     known = f'± {share:.2g} %' if share < 100 else '(sigma unknown)'
     views = f'{len(result.frames)} view{"s" if len(result.frames) != 1 else ""}'
     scene = ('of a known object' if result.motion == 'known-object'

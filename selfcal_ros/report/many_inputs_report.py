@@ -115,7 +115,7 @@ def verdict_of(camera: CameraSummary) -> str:
     """Say in a few sentences what came of a camera, and whether its recordings agree."""
     sentence, joint = _comparison(camera), camera.joint
     if joint is not None and len(camera.members) > 1 and (
-            joint.calibration.sigma['fx'] < SHARED_FRACTION * joint.calibration.camera.K[0, 0]):
+            joint.calibration.focal_sigma_share < SHARED_FRACTION):
         sentence += (' A sigma so small leaves out what all recordings share: features alone '
                      f'shift the focal length by up to {100 * SHARED_FRACTION:g} %.')
     return sentence

@@ -69,9 +69,10 @@ def write_rig_page(path, result: RigCalibration | NotCalibrated, text: str, sour
     if result:
         from selfcal_ros.report.rig_figure import epipolar_figure, rig_figure
         distances = epipolar_distances(result, tracks) if shared and tracks else {}
-        drawings = drawn([one for one in (rig_figure(result), epipolar_figure(
-            distances, next((one.values['rms_px'] for one in result.findings
-                             if one.kind == 'lens_deviates'), None))) if one])
+        bent_px = next((one.values['rms_px'] for one in result.findings
+                        if one.kind == 'lens_deviates'), None)
+        figures = rig_figure(result), epipolar_figure(distances, bent_px)
+        drawings = drawn([one for one in figures if one])
         tables = [_cameras(result), _poses(result), *_epipolar(distances)]
         matrices = _stereo(result)
         files = {name: rig_camera_yaml(result, name, source) for name in result.cameras}
@@ -139,7 +140,7 @@ def _cameras(rig: RigCalibration) -> PageTable:
              'Alone: from the images of that camera only.')
     if any(by_itself and rig.cameras[name].sigma['fx'] > by_itself.sigma['fx']
            for name, by_itself in rig.alone.items() if name in rig.cameras):
-        words += (' A sigma that is larger together holds errors that only both cameras '
+        words += (' A sigma that is larger together holds errors that only the cameras '
                   'together show.')
     return PageTable('cameras', 'Cameras', words, ('', *rig.cameras), tuple(rows))
 

@@ -29,5 +29,5 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
     decimals = 1 - int(np.floor(np.log10(sigma)))
     decimals -= round(sigma, min(decimals, 12)) >= 10.0 ** (2 - decimals)
     decimals = min(max(decimals, 0), 9)
-    # what rounds to zero has no sign
-    return f'{round(value, decimals) + 0.0:.{decimals}f}', f'{sigma:.{decimals}f}'
+    # z: what rounds to zero has no sign
+    return f'{value:z.{decimals}f}', f'{sigma:.{decimals}f}'

@@ -27,8 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR
-from selfcal_ros.calibration.bundle.robust_fit import (Observations, OUTLIER_SIGMAS, RobustFit,
-                                                       with_all_points)
+from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
@@ -45,6 +44,7 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
                                                              widest_turn_rad)
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras, problem_of)
+from selfcal_ros.calibration.estimators.other_starts import likeliest_start
 from selfcal_ros.calibration.estimators.parted_tracks import (
     calibrate_coherent_tracks, calibrate_sorted, calibrate_still_tracks, MANY_REJECTED)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
@@ -57,7 +57,6 @@ from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may
                                                                zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
-from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
@@ -88,11 +87,6 @@ PARTED_NOISE = 1.3
 OPEN, CLEARLY_LESS = ('parameters_undetermined', 'circle_undetermined'), 0.9
 #: What a refused estimate leaves, over what pairs do: a motion that is too simple may be why.
 POORLY_EXPLAINED = 1.5
-#: A focal length with a larger sigma than this share of it may be that of another optimum: the
-#: factors of the ones to begin at once more.
-LOOSE_FOCAL, OTHER_STARTS = 0.02, (1.0, 0.8, 1.25)
-#: Another optimum is better where the cost falls by so much, in units of sigma².
-BETTER_BY = 1.0
 #: Things that move bend the focal length, too: factors of the ones to part them from.
 BESIDE_BENT = (1.0, 0.9, 1.1)
 
@@ -133,8 +127,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return problem
     problem = replace(problem, is_weak=is_weak, supposes_plane=GENERAL in motions)
     result, motion = _simplest_motion(problem, graph, proposals, motions)
-    if result and result.sigma['fx'] > LOOSE_FOCAL * result.camera.K[0, 0]:
-        result = _likeliest_start(result, replace(problem, motion=motion), graph)
+    if result:
+        result = likeliest_start(result, replace(problem, motion=motion), graph,
+                                 _attempt_any_focal)
     if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
             and widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3]) < LITTLE_TURN_RAD):
         # a plane far from the truth, from where no way leads to what free motion explains
@@ -179,24 +174,6 @@ def _simplest_motion(problem: SelfCalibrationProblem, graph: ViewGraph, proposal
     return next((one for one in refused[:-1]
                  if _is_final(one[0]) and _left_px(one[0]) <= _left_px(refused[-1][0])),
                 refused[-1])
-
-
-def _likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph: ViewGraph,
-                     ) -> Calibration:
-    """Begin elsewhere, too, and return the calibration that explains the images best."""
-    found = [result]
-    for factor in OTHER_STARTS:
-        start = supposed_camera(factor * float(result.camera.K[0, 0]), problem.size,
-                                problem.facts, problem.bend)
-        other = _attempt_any_focal(problem, graph, [start])
-        if other:
-            found.append(other)
-    noise_px = min(one.noise_sigma_px for one in found)
-    # half the squares of both coordinates; outliers count what makes them such
-    cost = [one.observation_count * (one.noise_sigma_px / noise_px)**2
-            + 0.5 * OUTLIER_SIGMAS**2 * one.outlier_count for one in found]
-    best = int(np.argmin(cost))
-    return found[best] if cost[best] < cost[0] - BETTER_BY else result
 
 
 def _is_final(refusal: NoEstimate) -> bool:

@@ -81,7 +81,7 @@ MAX_NOISE_OF_WEAK_PATH = 10.0
 
 #: A free path that knows the focal length to no more than this share of it is weak, too: behind a
 #: fisheye pairs of a head's views show what looks like parallax.
-LOOSE_FOCAL = 0.03
+WEAK_FOCAL = 0.03
 
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
@@ -329,12 +329,7 @@ def _may_be_weak(path: Calibration | NoEstimate, graph: ViewGraph) -> bool:
     """Tell whether a path may owe its translations to the lens."""
     if isinstance(path, NoEstimate):
         return path.kind in OF_OPEN_PATH
-    return _has_loose_focal(path) or _is_nearly_turn(path, graph)
-
-
-def _has_loose_focal(path: Calibration) -> bool:
-    """Tell whether a path knows the focal length too badly to be believed beside a turn."""
-    return bool(path.sigma['fx'] > LOOSE_FOCAL * path.camera.K[0, 0])
+    return path.focal_sigma_share > WEAK_FOCAL or _is_nearly_turn(path, graph)
 
 
 def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration | NoEstimate:
@@ -342,7 +337,7 @@ def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
     clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
     settles = path and turn.leaves_open and not (
-        _has_loose_focal(path) and left_px < CLEARLY_LESS_NOISE * path.noise_sigma_px)
+        path.focal_sigma_share > WEAK_FOCAL and left_px < CLEARLY_LESS_NOISE * path.noise_sigma_px)
     return path if clearer or settles else turn.result
 
 

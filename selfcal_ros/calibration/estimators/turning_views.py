@@ -112,7 +112,7 @@ def better_without(whole: Calibration, others: Calibration) -> bool:
 
     """
     # a focal length that varies has no one value to compare, and all views tell it best
-    if whole.focal is not None or others.sigma['fx'] > VAGUE * others.camera.K[0, 0]:
+    if whole.focal is not None or others.focal_sigma_share > VAGUE:
         return False
     if whole.motion == 'general':
         return True

@@ -171,7 +171,7 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
     if not moving:
         return _none_moves(alone, known)
     # the one that knows the path best
-    reference = min(moving, key=lambda name: known[name].sigma['fx'] / known[name].camera.K[0, 0])
+    reference = min(moving, key=lambda name: known[name].focal_sigma_share)
     anchor = known[reference]
     frames = _common_frames(anchor, tracks)
     if len(frames) < MIN_INSTANTS:
