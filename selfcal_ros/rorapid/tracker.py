@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.estimation.corner_alignment import has_corners
+from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
@@ -295,7 +296,8 @@ class RorapidTracker:
         if verifier is not None and outline is not None and self._policy.relocalises and (
                 self.state is not TrackerState.LOST):
             wide = self._pose.proposed_covariance(measured.state)
-            measured, other = outline.look(verifier, image, measured, wide)
+            prior = PosePrior.of(kalman.state, kalman.pose_covariance)
+            measured, other = outline.look(verifier, image, measured, prior, wide)
             if other:
                 kalman.restart(measured.state, wide)
         if depth is not None and self._projection.model == 'perspective' and (

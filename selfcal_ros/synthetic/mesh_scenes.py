@@ -100,11 +100,14 @@ class MeshRenderer:
         For a background of blobs; plain grey without.
     textured : bool
         Whether the part is patterned.
+    behind : ndarray, shape (height, width), optional
+        Grey levels of another background.
 
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, camera: Camera,
-                 rng: np.random.Generator | None = None, textured: bool = False):
+                 rng: np.random.Generator | None = None, textured: bool = False,
+                 behind: np.ndarray | None = None):
         """Paint the background and the faces."""
         if not camera.is_pinhole:
             raise ArgumentError('Meshes are drawn by cameras without distortion only.')
@@ -124,6 +127,8 @@ class MeshRenderer:
         if rng is not None:
             blobs = ndimage.gaussian_filter(rng.normal(size=shape), 5)
             self._background += 45 * np.tanh(2 * blobs / blobs.std())
+        if behind is not None:
+            self._background = behind
 
     def render(self, pose: np.ndarray, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
         """

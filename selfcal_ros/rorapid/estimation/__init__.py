@@ -17,7 +17,7 @@ Poses from edges and texture, one measurement an image (thesis 7.2.1 and 7.3.1).
 Read `robust_tracker` first, the method by default; `rapid_tracker` holds the thesis's own RAPiD
 (algorithm 7.1) and RoRAPiD (7.2). `pose_search` searches from many starts, and `arrival` finds
 what comes back by its silhouette (`sampled_views`) or its corners (`corner_alignment`).
-`outline_watch` finds poses of meshes that slide. `depth_fit` is what a depth image adds.
-`kalman_filter` predicts, `track_quality` judges, and `initial_pose` makes a first pose of clicked
-points.
+`outline_watch` and `second_opinion` find poses of meshes that slide. `depth_fit` is what a depth
+image adds. `kalman_filter` predicts, `track_quality` judges, and `initial_pose` makes a first pose
+of clicked points.
 """

@@ -24,8 +24,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
+from selfcal_ros.rorapid.estimation.second_opinion import SecondOpinion
 
 #: Other poses are tried no sooner than after so many images.
 _RESTS = 6
@@ -46,20 +48,23 @@ class OutlineWatch:
     ----------
     seen : float
         Share of the length of the outline that was seen at the last look.
+    opinion : SecondOpinion
 
     """
 
     def __init__(self) -> None:
         """Wait for a start."""
+        self.opinion = SecondOpinion()
         self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
         self.seen = 1.0
+        self.opinion.forget()
         self._usual, self._rests = 0.0, 0
 
     def look(self, method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
-             wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
+             prior: PosePrior, wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
         """
         Look at a pose that was measured, and at others where little of its outline is seen.
 
@@ -68,6 +73,8 @@ class OutlineWatch:
         method : SearchingEstimator
         image : ndarray, shape (H, W), uint8
         measured : PoseMeasurement
+        prior : PosePrior
+            What it was measured from.
         wide : ndarray, shape (m, m)
             Covariance of a pose that is only proposed.
 
@@ -82,18 +89,35 @@ class OutlineWatch:
         self.seen = method.check.seen(image, measured.view).length
         self._usual = max(self.seen, _FADES * self._usual)
         self._rests = max(self._rests - 1, 0)
-        if self.seen >= _LITTLE * self._usual or self._rests:
+        if self.seen >= _LITTLE * self._usual:
+            other = self.opinion.ask(method, image, measured, self.seen, wide)
+            return (measured, False) if other is None else (other, True)
+        if len(measured.texture_px):
+            # corners on a round part may lie where it ends, or in a highlight
+            by_edges = method.measured_by_edges(image, prior.state, prior.covariance)
+            if self._is_better(method, image, by_edges):
+                return by_edges, False
+        if self._rests:
             return measured, False
         self._rests = _RESTS
         here = method.check.support(image, measured.state).length
         state, support = method.search.rivals(image, measured.state, measured.state, wide)[0]
         if support.length < max(here + _BETTER, _WHOLE * self._usual):
             return measured, False
-        better = method.measured_anew(image, state, wide)
-        if not better.determined:
-            return measured, False
-        self.seen = support.length
-        return better, True
+        for measure in (method.measured_anew, method.measured_by_edges):
+            better = measure(image, state, wide)
+            if better.determined and self._is_better(method, image, better):
+                return better, True
+        return measured, False
+
+    def _is_better(self, method: SearchingEstimator, image: np.ndarray,
+                   other: PoseMeasurement) -> bool:
+        """Take note of another pose, if more of its outline is seen."""
+        seen = method.check.seen(image, other.view).length
+        if seen < self.seen + _BETTER:
+            return False
+        self.seen = seen
+        return True
 
     def text(self) -> str:
         """Say that little of the outline is seen; empty where enough is."""

@@ -114,4 +114,6 @@ class PlausibilityChecks:
         if self._size.share:
             away = np.r_[np.zeros(3), self._size.share * state.translation]
             added += np.outer(away, away)
+        if self.outline is not None:
+            added += self.outline.opinion.covariance()
         return added

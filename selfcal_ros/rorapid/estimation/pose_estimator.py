@@ -90,6 +90,10 @@ class SearchingEstimator(PoseMeter, Protocol):
                       covariance: np.ndarray) -> PoseMeasurement:
         """Measure without regard to what edges looked like."""
 
+    def measured_by_edges(self, image: np.ndarray, predicted: ObjectPose, covariance: np.ndarray,
+                          near: bool = False) -> PoseMeasurement:
+        """Measure without corners of the texture; edges may be nearer than the covariance says."""
+
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
                   covariance: np.ndarray) -> Iterator[ObjectPose]:
         """Propose other poses, one at a time, the cheapest first."""

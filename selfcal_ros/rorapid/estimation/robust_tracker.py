@@ -200,7 +200,7 @@ class RobustTracker:
         prior = PosePrior.of(predicted, covariance)
         outline = self._pinhole.project(predicted, self._outline).pixels
         region = region_of_interest(image, outline, 40.0, self._lens)
-        corners = AgreeingCorners(predicted, None, np.zeros(0, bool))
+        corners = _no_corners(predicted)
         if region is not None and self._use_texture and self.texture.known:
             corners = self._by_texture(region, prior)
         count, matches = int(corners.agree.sum()), corners.matches
@@ -233,6 +233,12 @@ class RobustTracker:
         if not measured.recognised:
             self._edges.contrast[:] = remembered
         return measured
+
+    def measured_by_edges(self, image: np.ndarray, predicted: ObjectPose, covariance: np.ndarray,
+                          near: bool = False) -> PoseMeasurement:
+        """Measure by edges alone: those near the prediction, or as far as its covariance says."""
+        return self._search(image, None, PosePrior.of(predicted, covariance),
+                            _no_corners(predicted), near)
 
     def _search(self, image: np.ndarray, region: Region | None, prior: PosePrior,
                 corners: AgreeingCorners, led: bool) -> PoseMeasurement:
@@ -278,7 +284,7 @@ class RobustTracker:
 
         First from close by, where what is before the object disturbs least; then from further.
         """
-        best = AgreeingCorners(prior.state, None, np.zeros(0, bool))
+        best = _no_corners(prior.state)
         for levels, reduced in _ATTEMPTS:
             if reduced and _hidden(best):
                 break
@@ -366,6 +372,11 @@ class RobustTracker:
                 self.texture.learn(region, measured.state, confirmed, shown[:6, :6])
         if confirmed:
             self._views.remember(region, measured.state)
+
+
+def _no_corners(state: ObjectPose) -> AgreeingCorners:
+    """Begin from a state, without corners."""
+    return AgreeingCorners(state, None, np.zeros(0, bool))
 
 
 def _hidden(corners: AgreeingCorners) -> bool:
