@@ -127,7 +127,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return problem
     problem = replace(problem, is_weak=is_weak, supposes_plane=GENERAL in motions)
     result, motion = _simplest_motion(problem, graph, proposals, motions)
-    if result:
+    ill_parted = _is_ill_parted(result, problem)
+    if result and not ill_parted:
         result = likeliest_start(result, replace(problem, motion=motion), graph,
                                  _attempt_any_focal)
     if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
@@ -141,7 +142,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         in_the_way = _of_wrong_fact(replace(problem, motion=motions[-1]), graph, proposals)
         if in_the_way is not None:
             return in_the_way
-    if (not result and result.kind in MAY_BE_MOVING) or _is_ill_parted(result, problem):
+    if (not result and result.kind in MAY_BE_MOVING) or ill_parted:
         # most of what the starts look at may move, as long tracks ahead of a vehicle do
         unexplained = not result and result.kind in UNEXPLAINED
         for motion in motions:
@@ -150,6 +151,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                                               may_stand=unexplained)
             if found or (found is not None and _is_less_open(found, result)):
                 return found
+    if result and ill_parted:
+        result = likeliest_start(result, replace(problem, motion=motion), graph,
+                                 _attempt_any_focal)
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
         planar = _Attempt(zooming(replace(problem, motion=motions[0])), graph, proposals,
