@@ -80,6 +80,21 @@ def lens_scale(lens):
 
 
 @pytest.mark.parametrize('name', LENSES)
+def test_a_lens_that_is_possible_is_a_camera(name):
+    """A fit must not end at one that is none: a fisheye with k1 = 84, k2 = -86853 was reached."""
+    rng, count = np.random.default_rng(0), len(LENSES[name].distortion)
+    possible = 0
+    for spread in np.logspace(-2, 5, 200):
+        values = np.r_[620.0, 1.03, 322.0, 236.0, 1.5, spread * rng.normal(size=count)]
+        lens = Lens(values, LENSES[name].model)
+        if lens.is_possible:
+            assert lens.camera(640, 480).lens is lens.model
+            possible += 1
+    assert possible >= 20
+    assert not Lens(-values, lens.model).is_possible
+
+
+@pytest.mark.parametrize('name', LENSES)
 def test_lens_by_points_and_by_its_unknowns(name, rng):
     lens, X = LENSES[name], rng.normal(size=(20, 3)) * [0.4, 0.3, 0.2] + [0, 0, 1.5]
     if not lens.model.is_perspective:

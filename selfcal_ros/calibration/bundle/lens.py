@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.lenses.model import LensModel
@@ -122,7 +123,13 @@ class Lens:
     @property
     def is_possible(self) -> bool:
         """Tell whether such a lens can exist at all."""
-        return bool(np.isfinite(self.values).all() and (self.values[:2] > 0).all())
+        if not (np.isfinite(self.values).all() and (self.values[:2] > 0).all()):
+            return False
+        try:
+            self.model.check(self.distortion)
+        except ArgumentError:
+            return False
+        return True
 
     @property
     def parts(self) -> tuple[tuple[Lens, slice], ...]:
