@@ -29,7 +29,8 @@ from selfcal_ros.calibration.estimators.all_views import finish, NOT_CONSTANT, s
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
                                                                    MOTION_MODELS, UNEXPLAINED)
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
-from selfcal_ros.calibration.estimators.pivot import decide_pivot, left_by_turns
+from selfcal_ros.calibration.estimators.pivot import (decide_pivot, left_by_turns,
+                                                      MAX_NOISE_OF_PIVOT)
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)
 from selfcal_ros.calibration.estimators.sliding_images import LONG
@@ -66,8 +67,6 @@ MAX_NOISE_OF_ROTATION = 1.2
 #: The same where rotations need a long lens: over a plane that is nearly parallel to the image a
 #: path leaves the focal length open, and a turn behind such a lens looks much the same.
 MAX_NOISE_BEHIND_LONG_LENS = 1.02
-#: A turn about a point is taken up to this ratio to the noise of pairs.
-MAX_NOISE_OF_PIVOT = 1.5
 #: The same where no pair shows parallax: the noise of pairs is known to some 3 %, and a drive with
 #: the smallest of steps is no turn.
 MAX_NOISE_OF_HIDDEN_PIVOT = 1.1
@@ -280,6 +279,7 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
     """
     graph, may_vary = case.graph, case.facts.focal == 'varying'
     rotations = case.rotations() if case.may_turn and not may_vary else None
+    path: Calibration | NoEstimate | None = None
     turn, plane, near_turn = None, None, False
     if isinstance(rotations, RotationFit):
         mixed = of_two_turning(rotations, graph, case.size, case.facts)
@@ -288,6 +288,11 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
         near_turn = rotations.left_px < MAX_NOISE_NEAR_TURN * max(rotations.noise_px,
                                                                   graph.noise_px)
     if near_turn and isinstance(rotations, RotationFit):
+        if rotations.left_px > MAX_NOISE_OF_WEAK_PATH * graph.noise_px:
+            # no head leaves so much unless it zooms, and a path is found sooner than a turn
+            path = case.path(rotations, is_weak=True)
+            if path and path.focal is None and not _may_be_weak(path, graph):
+                return path
         turn = case.about_a_point(rotations)
         if turn is not None and turn.is_sure(graph.noise_px):
             return turn.result
@@ -296,7 +301,7 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
         plane = None if in_plane is None else case.over_a_plane(in_plane)
         if plane is not None and _settles(plane):
             return plane
-    path = case.path(rotations, is_weak=near_turn)
+    path = case.path(rotations, is_weak=near_turn) if path is None else path
     if plane is not None and _leaves_open_as_well(plane, path):
         return plane
     if not path and path.kind in UNEXPLAINED and case.may_turn and plane is None:

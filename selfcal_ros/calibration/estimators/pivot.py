@@ -75,6 +75,8 @@ LONGEST_LEVER = 1.0
 #: What is on the way to such a path already, of starts and of a first fit. Levers of drives were
 #: 3 and more on the way, and 13 and more in the end; of turns 0.6 at most.
 FAR_LEVER = 2.0
+#: A turn about a point is taken up to this ratio to the noise of pairs.
+MAX_NOISE_OF_PIVOT = 1.5
 #: A turn with another focal length than rotations alone, by this in its logarithm, may owe it to a
 #: lens of the wrong family. True levers of heads change it by 0.04; bent ones by 0.75 and more.
 FOREIGN_FOCAL = 0.2
@@ -152,6 +154,9 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         turned = with_lens(turned, xy, 'plumb_bob')
     found = _decided(problem, graph, turning, turned)
     if not found or problem.facts.distortion != 'auto' or not _has_foreign_focal(found, turned):
+        return found
+    if found[1].model.fit.bundle.sigma_px > MAX_NOISE_OF_PIVOT * found[0].noise_px:
+        # a path: lens families differ by a tenth of what heads leave
         return found
     # a short lever looks long behind a lens of another kind
     for family in ('equidistant', 'plumb_bob'):
