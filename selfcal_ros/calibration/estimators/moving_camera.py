@@ -81,6 +81,9 @@ MAX_NOISE_OF_WEAK_PATH = 10.0
 #: A free path that knows the focal length to no more than this share of it is weak, too: behind a
 #: fisheye pairs of a head's views show what looks like parallax.
 WEAK_FOCAL = 0.03
+#: One that knows it to no more than this share is held against rotations alone: a head behind a
+#: fisheye was taken for a hand, 140 % off and 1.9 % sure.
+COARSE_FOCAL = 0.01
 
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
@@ -334,7 +337,7 @@ def _may_be_weak(path: Calibration | NoEstimate, graph: ViewGraph) -> bool:
     """Tell whether a path may owe its translations to the lens."""
     if isinstance(path, NoEstimate):
         return path.kind in OF_OPEN_PATH
-    return path.focal_sigma_share > WEAK_FOCAL or _is_nearly_turn(path, graph)
+    return path.focal_sigma_share > COARSE_FOCAL or _is_nearly_turn(path, graph)
 
 
 def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration | NoEstimate:
