@@ -78,8 +78,10 @@ class SecondOpinion:
             return None
         self._side = 1 - self._side
         covariance = basis @ measured.covariance @ basis.T
+        if not np.isfinite(covariance).all():
+            return None
         values, vectors = np.linalg.eigh(covariance[:3, :3])
-        if not values[-1] > 0:
+        if values[-1] <= 0:
             return None
         way = np.clip(_SIGMAS * np.sqrt(values[-1]), _LEAST_RAD, _MOST_RAD) / values[-1] * (
             covariance[:, :3] @ vectors[:, -1])
@@ -94,6 +96,7 @@ class SecondOpinion:
         square = float(along @ np.linalg.solve(measured.covariance, along))
         if square > _SAME:
             if its_share > seen + _BETTER:
+                self._answers[:] = 0
                 return answer
             self._answers[self._side] = np.sqrt(1 - _SAME / square) * apart
         return None
