@@ -130,7 +130,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     ill_parted = _is_ill_parted(result, problem)
     if result and not ill_parted:
         result = likeliest_start(result, replace(problem, motion=motion), graph,
-                                 _attempt_any_focal)
+                                 _attempt_any_focal, _first_focal_px)
     if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
             and widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3]) < LITTLE_TURN_RAD):
         # a plane far from the truth, from where no way leads to what free motion explains
@@ -153,7 +153,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                 return found
     if result and ill_parted:
         result = likeliest_start(result, replace(problem, motion=motion), graph,
-                                 _attempt_any_focal)
+                                 _attempt_any_focal, _first_focal_px)
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
         planar = _Attempt(zooming(replace(problem, motion=motions[0])), graph, proposals,
@@ -241,6 +241,11 @@ def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
     return result
 
 
+def _first_focal_px(problem: SelfCalibrationProblem, graph: ViewGraph, start: Camera) -> float:
+    """Return the focal length of the first fit from a start; NaN where there is none."""
+    return _Attempt(problem, graph, [start], None).first_focal_px()
+
+
 @dataclass(frozen=True)
 class _Attempt:
     """
@@ -291,6 +296,12 @@ class _Attempt:
             if still is not None:
                 return still
         return self._from(first, shutter, left)
+
+    def first_focal_px(self) -> float:
+        """Return the focal length of the first fit, pixels; NaN where there is none."""
+        start = self._start()
+        first = start if isinstance(start, NoEstimate) else self._first_fit(start[0])
+        return np.nan if isinstance(first, NoEstimate) else float(first.state.lens['f'])
 
     def _start(self) -> tuple[SceneState, NoEstimate | None] | NoEstimate:
         """Return a start, and what it leaves unexplained if that may be rows read in turn."""

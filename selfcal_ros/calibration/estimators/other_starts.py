@@ -20,6 +20,8 @@ more than one optimum does, several sigmas apart; so the estimate is begun elsew
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS
@@ -28,17 +30,24 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import Camera
 
 #: A focal length with a larger sigma than this share of it is loose.
 LOOSE_FOCAL = 0.02
 #: Factors of it to begin at once more.
 FACTORS = (1.0, 0.8, 1.25)
+#: Starts that lead to first fits so near each other, in sigmas, lead to the same optimum.
+SAME = 0.05
 #: Another optimum is better where the cost falls by so much, in units of sigma².
 BETTER_BY = 1.0
 
 
+#: (problem, graph, start) -> focal length of the first fit, pixels; NaN where there is none.
+FirstFocal = Callable[[SelfCalibrationProblem, ViewGraph, Camera], float]
+
+
 def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph: ViewGraph,
-                    calibrate_path: CalibratePath) -> Calibration:
+                    calibrate_path: CalibratePath, first_focal_px: FirstFocal) -> Calibration:
     """
     Begin elsewhere, too, where a focal length is loose; return what explains the images best.
 
@@ -50,6 +59,7 @@ def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph:
     graph : ViewGraph
     calibrate_path : callable
         (problem, graph, proposals, fit to start from) -> Calibration or NoEstimate.
+    first_focal_px : callable
 
     Returns
     -------
@@ -59,10 +69,15 @@ def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph:
     """
     if result.focal_sigma_share <= LOOSE_FOCAL:
         return result
-    found = [result]
+    found, same_px = [result], SAME * result.sigma['fx']
+    reached: list[float] = []
     for factor in FACTORS:
         start = supposed_camera(factor * float(result.camera.K[0, 0]), problem.size,
                                 problem.facts, problem.bend)
+        focal_px = first_focal_px(problem, graph, start)
+        if any(abs(focal_px - one) < same_px for one in reached):
+            continue
+        reached.append(focal_px)
         other = calibrate_path(problem, graph, [start], None)
         if other:
             found.append(other)
