@@ -15,15 +15,21 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 import re
+from typing import Any
 
+import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
+
+#: Of a sigma: an estimate that moves less, and whose sigmas fall by less, brings nothing new.
+SAME = 0.1
 
 
 class CalibrationFile:
@@ -50,6 +56,8 @@ class CalibrationFile:
             raise ArgumentError('The parameter camera_name takes letters, digits and underscores, '
                                 f'not {camera_name!r}.')
         self.camera_name = camera_name
+        self._saved: Calibration | None = None
+        self._saved_at: datetime | None = None
         self.path = path_of(output or '${ROS_HOME}/camera_info/${NAME}.yaml', camera_name)
 
     def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
@@ -83,5 +91,36 @@ class CalibrationFile:
                             f'to {calibration.camera.width}x{calibration.camera.height}')
         else:
             comments += uncertainty_comment(calibration.camera, calibration.covariance)
-        return write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,
-                                 comments)
+        written = write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,
+                                    comments)
+        self._saved, self._saved_at = calibration, datetime.now()
+        return written
+
+    def values(self, calibration: Calibration | None) -> dict[str, Any]:
+        """
+        Return for a diagnostic status where the file is, and whether it holds a calibration.
+
+        Parameters
+        ----------
+        calibration : Calibration or None
+            That in force.
+
+        """
+        values: dict[str, Any] = {'calibration file': str(self.path)}
+        if self._saved_at is not None:
+            values |= {'saved at': f'{self._saved_at:%H:%M:%S}',
+                       'saved': self._holds(calibration)}
+        return values
+
+    def _holds(self, calibration: Calibration | None) -> bool:
+        """Tell whether what was written is as good as a calibration: nothing to save again."""
+        if calibration is None or self._saved is None:
+            return False
+        if calibration is self._saved:
+            return True
+        new, old = calibration.camera, self._saved.camera
+        if (new.model, new.width, new.height) != (old.model, old.width, old.height):
+            return False
+        now, then = (np.sqrt(np.diag(one.covariance)) for one in (calibration, self._saved))
+        moved = np.abs(new.parameters - old.parameters)
+        return bool(np.all(moved <= SAME * now) and np.all(now >= (1 - SAME) * then))

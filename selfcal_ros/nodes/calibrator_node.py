@@ -133,7 +133,8 @@ class CalibratorNode(Node):
     def _change(self, new: CalibratorParameters, old: CalibratorParameters):
         """Do what changed parameters say, from the next estimate on."""
         self._watchdog.limit_s = new.silence_s
-        self._file = CalibrationFile(new.camera_name, new.output)
+        if new.output != old.output:
+            self._file = CalibrationFile(new.camera_name, new.output)
         if new.set_camera_info_service != old.set_camera_info_service:
             self._upload.close()
             self._upload = CameraInfoUpload(self, new.set_camera_info_service)
@@ -305,12 +306,21 @@ class CalibratorNode(Node):
         response.success, response.message = True, 'starting anew'
         return response
 
+    @property
+    def _serves_file(self) -> bool:
+        """Whether the calibration of an earlier run is published."""
+        return (self._stored is not None and self._stored.used
+                and self._session.calibration is None)
+
     def _on_save(self, _, response):
         calibration = self._session.calibration
         if calibration is None:
             failure = self._session.snapshot().failure
             hint = f': {failure.reason}' if failure is not None and failure.is_hint else ''
-            response.success, response.message = False, f'there is no calibration yet{hint}'
+            response.success = False
+            response.message = f'there is no calibration yet{hint}'
+            if self._serves_file:
+                response.message += '; the file of an earlier run stays as it is'
             return response
         try:
             response.message = self._save(calibration)
@@ -322,8 +332,10 @@ class CalibratorNode(Node):
     def _diagnose(self):
         level, text, values = self._watch.judge(
             *calibration_status(self._session.snapshot()))
-        if self._stored is not None and self._stored.used and self._session.calibration is None:
-            text = f'the calibration of {self._file.path} is in force; {text}'
+        values |= self._file.values(self._session.calibration)
+        if self._serves_file and self._stored is not None:
+            text = f'the calibration of {self._stored.path} is in force; {text}'
+            values |= self._stored.values()
         complaint = self._rivals.complaint or self._loss() or self._robot.complaint()
         values |= self._robot.values()
         calibration = self._session.calibration

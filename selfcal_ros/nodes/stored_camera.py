@@ -16,12 +16,19 @@
 from __future__ import annotations
 
 from datetime import datetime
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 from selfcal_ros.errors import SelfcalError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.sensor_roi import SensorRoi
+from selfcal_ros.report.camera_uncertainty import stored_uncertainty
 from selfcal_ros.report.camera_yaml import read_camera_yaml
+
+#: How times of files are told.
+WHEN = '%Y-%m-%d %H:%M'
 
 
 class StoredCamera:
@@ -37,13 +44,24 @@ class StoredCamera:
 
     Attributes
     ----------
+    path : Path
+        Of the file.
+    camera : Camera or None
+        What stands in it; None where it is not used.
+    covariance : ndarray or None
+        Of its parameters, where the file tells it.
+    written : datetime or None
+        When the file was written.
     used : bool
-        Whether there have been images that it is for.
+        Whether the newest images are those that it is for.
 
     """
 
     def __init__(self, file: CalibrationFile, logger):
-        self._camera: Camera | None = None
+        self.path: Path = file.path
+        self.camera: Camera | None = None
+        self.covariance: np.ndarray | None = None
+        self.written: datetime | None = None
         self._logger = logger
         self.used = False
         self._refused: tuple[int, int] | None = None
@@ -52,6 +70,8 @@ class StoredCamera:
         try:
             camera, name = read_camera_yaml(file.path)
             written = datetime.fromtimestamp(file.path.stat().st_mtime)
+            self.covariance = stored_uncertainty(
+                file.path.read_text(encoding='utf-8-sig'), camera)
         except (SelfcalError, OSError) as error:
             logger.warning(f'the calibration of an earlier run is not used: {error}')
             return
@@ -59,9 +79,9 @@ class StoredCamera:
             logger.warning(f'{file.path} is of the camera {name!r:.60}, not of '
                            f'{file.camera_name!r}: it is not used')
             return
-        self._camera = camera
+        self.camera, self.written = camera, written
         logger.info(f'begins with the calibration of {file.path}, written '
-                    f'{written:%Y-%m-%d %H:%M}, until there is a new one')
+                    f'{written:{WHEN}}, until there is a new one')
 
     def of_images(self, driver: SensorRoi, image_size: tuple[int, int]) -> Camera | None:
         """
@@ -75,15 +95,28 @@ class StoredCamera:
             Width and height; (0, 0): not known yet.
 
         """
-        if self._camera is None or 0 in image_size:
+        if self.camera is None or 0 in image_size:
             return None
-        camera = driver.image_camera(self._camera, image_size)
+        camera = driver.image_camera(self.camera, image_size)
         if (camera.width, camera.height) == tuple(image_size):
             self.used = True
             return camera
+        self.used = False
         if self._refused != tuple(image_size):
             self._refused = image_size
             self._logger.warning(
                 f'the calibration of an earlier run is for {camera.width}x{camera.height} pixels, '
                 f'the images have {image_size[0]}x{image_size[1]}: it is not used')
         return None
+
+    def values(self) -> dict[str, Any]:
+        """Return the parameters for a diagnostic status, named apart from estimated ones."""
+        if self.camera is None or self.written is None:
+            return {}
+        sigma = None if self.covariance is None else np.sqrt(np.diag(self.covariance))
+        values: dict[str, Any] = {'file written': f'{self.written:{WHEN}}'}
+        for k, name in enumerate(self.camera.parameter_names):
+            values[f'file {name}'] = float(self.camera.parameters[k])
+            if sigma is not None:
+                values[f'file {name} sigma'] = float(sigma[k])
+        return values

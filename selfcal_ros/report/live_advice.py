@@ -89,6 +89,8 @@ class LiveStatus:
         Its emptiest part.
     sigma_share : float or None
         Standard deviation of the focal length over the focal length; None: not calibrated.
+    saved : str
+        The file, where it holds the calibration in force.
 
     """
 
@@ -105,6 +107,7 @@ class LiveStatus:
     coverage: float
     empty: str
     sigma_share: float | None
+    saved: str = ''
 
 
 def advise(scene: LiveStatus) -> Advice:
@@ -139,6 +142,9 @@ def _trouble(scene: LiveStatus) -> Advice | None:
 def _reached(scene: LiveStatus) -> Advice | None:
     if scene.sigma_share is None or scene.sigma_share > PRECISE:
         return None
+    if scene.saved:
+        return Advice(Kind.DONE, 'It is saved', f'The focal length is known to {_percent(scene)}, '
+                      f'and {scene.saved} holds it. You may stop here.')
     return Advice(Kind.DONE, 'Save it', f'The focal length is known to {_percent(scene)}; more '
                   'views change little.')
 

@@ -41,6 +41,8 @@ GONE_S = 4.0
 MOST_ESTIMATES = 400
 #: How values of a changed camera begin in the diagnostics.
 CHANGE = 'change of '
+#: How those of a calibration file of an earlier run begin, while it is in force.
+FILE, WRITTEN = 'file ', 'file written'
 WARNING = 1
 _COUNTS = ('frames', 'keyframes', 'points', 'estimates')
 
@@ -141,7 +143,8 @@ class LiveState:
         """Add the turn since the last image."""
         assert self._last is not None
         then_s, old_ids, old_xy = self._last
-        focal = _number(self._status[2], 'fx', 0.0) or USUAL_FOCAL * size[0]
+        focal = (_number(self._status[2], 'fx', 0.0)
+                 or _number(self._status[2], f'{FILE}fx', 0.0) or USUAL_FOCAL * size[0])
         degrees = turn_deg((old_ids, old_xy), (ids, xy), focal, size[0])
         elapsed = now_s - then_s
         # after a pause the tracks in common are few, and chosen by what survives
@@ -182,7 +185,8 @@ class LiveState:
             is_still=now_s - self._moved_s > 2.0,
             left=self._turned['left'], right=self._turned['right'], rate=self._rate,
             coverage=self.coverage, empty=self._emptiest(),
-            sigma_share=sigma / fx if fx > 0 else None))
+            sigma_share=sigma / fx if fx > 0 else None,
+            saved=values.get('calibration file', '') if values.get('saved') == 'True' else ''))
 
     def _note(self, now_s: float) -> str:
         """Return what the tracker warns of, without being stopped by it."""
@@ -199,6 +203,48 @@ class LiveState:
         return 'middle' if words == ('middle', 'middle') else ' '.join(
             word for word in words if word != 'middle')
 
+    def _source(self) -> str:
+        """Tell where the numbers that are shown come from: '' where there are none."""
+        values = self._status[2]
+        if any(name.endswith(' sigma') and not name.startswith((CHANGE, FILE))
+               for name in values):
+            return 'estimate'
+        return 'file' if WRITTEN in values else ''
+
+    def _parameters(self) -> list[dict]:
+        """Return the camera in force; a sigma that a file does not tell is None."""
+        values = self._status[2]
+        if self._source() == 'file':
+            names = [name.removeprefix(FILE) for name in values
+                     if name.startswith(FILE) and name != WRITTEN and not name.endswith(' sigma')]
+            prefix = FILE
+        else:
+            names = [name.removesuffix(' sigma') for name in values
+                     if name.endswith(' sigma') and not name.startswith((CHANGE, FILE))]
+            prefix = ''
+        return [{'name': name, 'value': _number(values, f'{prefix}{name}', None),
+                 'sigma': _number(values, f'{prefix}{name} sigma', None)} for name in names]
+
+    def _kept(self) -> str:
+        """Say which file holds the numbers that are shown, or does not."""
+        values = self._status[2]
+        path, saved_at = values.get('calibration file', ''), values.get('saved at', '')
+        source = self._source()
+        if source == 'file':
+            return (f'These numbers are of an earlier run, written {values[WRITTEN]}. The first '
+                    'calibration of this run replaces them.')
+        if not path:
+            return ''
+        if not source:
+            return (f'{path} holds the calibration that was saved at {saved_at}.' if saved_at
+                    else '')
+        if values.get('saved') == 'True':
+            return f'Saved in {path} at {saved_at}.'
+        if saved_at:
+            return (f'{path} holds the numbers of {saved_at}. Those here are newer: save them, '
+                    'too.')
+        return f'Not saved yet. The button writes {path}.'
+
     def as_dict(self, now_s: float) -> dict:
         """Return everything that the page shows."""
         level, text, values = self._status
@@ -211,11 +257,8 @@ class LiveState:
             'estimating': values.get('estimating') == 'True',
             'motion': values.get('motion', ''),
             'rms_px': _number(values, 'reprojection_rms_px', None),
-            'parameters': [{'name': name.removesuffix(' sigma'),
-                            'value': _number(values, name.removesuffix(' sigma'), None),
-                            'sigma': _number(values, name, None)}
-                           for name in values
-                           if name.endswith(' sigma') and not name.startswith(CHANGE)],
+            'parameters': self._parameters(), 'source': self._source(), 'kept': self._kept(),
+            'is_saved': values.get('saved') == 'True',
             'history': list(self._history),
             'now': round(now_s - (now_s if self._began_s is None else self._began_s), 1),
             'coverage': {'columns': COLUMNS, 'rows': ROWS, 'share': round(self.coverage, 3),

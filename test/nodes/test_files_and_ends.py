@@ -13,14 +13,19 @@
 # limitations under the License.
 """A calibration file is found under every name that drivers use, and begins the next run."""
 
+from dataclasses import replace
 import fcntl
+from logging import getLogger
 import os
 from pathlib import Path
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.task import Future
+from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
@@ -30,7 +35,10 @@ from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.nodes.quality_of_service import STEADY
 from selfcal_ros.nodes.shared_memory import sweep
+from selfcal_ros.nodes.stored_camera import StoredCamera
+from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
 
 
@@ -75,7 +83,15 @@ def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path
     graph = graph('-p', 'camera_name:=front', '-p', f'output:={path}')
     node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
     infos = graph.listen(CameraInfo, 'camera_info')
+    statuses = graph.listen(DiagnosticArray, '/diagnostics')
     tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
+
+    def told():
+        """Return the next diagnostic status."""
+        known = len(statuses)
+        graph.wait_for(lambda: len(statuses) > known)
+        status = statuses[-1].status[0]
+        return status.message, {one.key: one.value for one in status.values}
 
     def focal(size):
         node._size = size
@@ -87,10 +103,54 @@ def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path
     graph.wait_for(lambda: tracks.get_subscription_count() and infos is not None)
     assert focal((640, 480)) == 500
     # it is no calibration of images of another size
-    assert focal((320, 240)) == 0 and focal((640, 480)) == 500
-    assert not graph.call('planar_calibrator/save').success
+    assert focal((320, 240)) == 0 and 'in force' not in told()[0]
+    assert focal((640, 480)) == 500
+    message, values = told()
+    assert f'the calibration of {path} is in force' in message
+    assert values['calibration file'] == str(path) and values['file fx'] == '500'
+    # another program's file tells no sigma, and nothing was estimated or saved by this run
+    assert not {'file fx sigma', 'fx', 'fx sigma', 'saved', 'saved at'} & set(values)
+    answer = graph.call('planar_calibrator/save')
+    assert not answer.success and answer.message == (
+        'there is no calibration yet; the file of an earlier run stays as it is')
     assert graph.call('planar_calibrator/reset').success
-    assert focal((640, 480)) == 0
+    assert focal((640, 480)) == 0 and 'file fx' not in told()[1]
+
+
+def test_a_stored_calibration_brings_its_sigmas(tmp_path):
+    path = tmp_path / 'front.yaml'
+    camera = Camera.from_parameters([500, 501, 320, 240, 0, 0, 0, 0, 0], 640, 480)
+    sigma = np.arange(1.0, 1 + len(camera.parameters)) / 10
+    write_camera_yaml(path, camera, 'front', uncertainty_comment(camera, np.diag(sigma ** 2)))
+    stored = StoredCamera(CalibrationFile('front', str(path)), getLogger('test'))
+    values = stored.values()
+    names = camera.parameter_names
+    np.testing.assert_allclose([values[f'file {name} sigma'] for name in names], sigma)
+    np.testing.assert_allclose([values[f'file {name}'] for name in names], camera.parameters)
+    # somebody has changed the numbers: the sigmas are those of others
+    path.write_text('\n'.join(line if line.startswith('#') else line.replace('501', '502')
+                              for line in path.read_text().splitlines()))
+    values = StoredCamera(CalibrationFile('front', str(path)), getLogger('test')).values()
+    assert values['file fx'] == 500 and 'file fx sigma' not in values
+
+
+def test_an_estimate_that_brings_nothing_new_counts_as_saved(tmp_path):
+    file = CalibrationFile('front', str(tmp_path / 'front.yaml'))
+    tracks = drive(np.random.default_rng(11), noise_px=0.1, views=12, tracks=300).tracks
+    first = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'))
+    assert first and 'saved at' not in file.values(first)
+    file.write(first)
+    assert file.values(first)['saved'] and not file.values(None)['saved']
+
+    def moved(sigmas, share=1.0):
+        parameters = first.camera.parameters.copy()
+        parameters[2] += sigmas * first.sigma['cx']
+        return replace(first, camera=Camera.from_parameters(parameters, 640, 480),
+                       covariance=first.covariance * share ** 2)
+
+    assert file.values(moved(0.05))['saved']
+    assert not file.values(moved(0.5))['saved'], 'other numbers'
+    assert not file.values(moved(0.0, 0.5))['saved'], 'better known'
 
 
 def test_a_node_that_waits_for_its_end_does_not_grow_while_it_waits(graph):

@@ -165,12 +165,17 @@ def test_the_page_shows_images_and_numbers_as_they_come_and_its_buttons_work(sta
     said = stage.press('calibrate')
     assert 'views' in said or 'nothing new' in said or 'under way' in said
     path = tmp_path / 'ros_home' / 'camera_info' / 'front.yaml'
+    assert stage.text('#kept') == f'Not saved yet. The button writes {path}.'
     assert str(path) in stage.press('save') and path.is_file()
+    # an estimate that comes after it is newer than the file
+    stage.wait(lambda: stage.text('#kept').startswith(f'Saved in {path} at '), 'saved',
+               meanwhile=lambda: stage.press('save'))
     page.evaluate('document.getElementById("reset").click()')
     assert stage.text('#reset') == 'Forget everything?'
     assert stage.press('reset') == 'starting anew'
     stage.wait(lambda: stage.text('#state') == 'Not calibrated', 'reset')
     assert stage.parameter('fx') is None and stage.text('#share').startswith('0 %')
+    assert stage.text('#kept').startswith(f'{path} holds the calibration that was saved at ')
     # markup in a message is text
     evil = '<b id="evil">x</b>'
     statuses = graph.probe.create_publisher(DiagnosticArray, '/diagnostics', 10)

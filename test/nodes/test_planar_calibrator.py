@@ -14,6 +14,7 @@
 """planar_calibrator: a CameraInfo for every tracks message, better as the drive goes on."""
 
 import json
+import re
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.clouds import points_from_cloud
@@ -137,7 +138,10 @@ def test_a_drive_is_calibrated_and_every_image_gets_its_camera_info(on_the_road,
     on_the_road.graph.wait_for(lambda: len(on_the_road.diagnostics) > seen)
     status = on_the_road.diagnostics[-1].status[0]
     assert status.level == b'\x00' and status.hardware_id == 'camera'
-    assert float({v.key: v.value for v in status.values}['fx']) == pytest.approx(info.k[0], 1e-4)
+    values = {v.key: v.value for v in status.values}
+    assert float(values['fx']) == pytest.approx(info.k[0], 1e-4)
+    assert values['calibration file'] == str(path)
+    assert values['saved'] == 'True' and re.fullmatch(r'\d\d:\d\d:\d\d', values['saved at'])
 
 
 def test_the_scene_is_published_in_steps_and_upright_and_cleared_on_reset(on_the_road):

@@ -96,6 +96,51 @@ def test_sigmas_are_remembered_until_a_reset_and_no_longer_than_needed():
     assert not shown['history'] and not shown['parameters'] and not any(shown['turned'].values())
 
 
+def test_the_page_says_which_file_holds_the_numbers():
+    state = LiveState()
+
+    def shown(**changes):
+        values = {**CALIBRATED, 'calibration file': '/c/front.yaml',
+                  **{name.replace('_', ' '): value for name, value in changes.items()}}
+        state.take_status('planar_calibrator', 'front', 0, 'calibrated', values, 1.0)
+        return state.as_dict(1.0)
+
+    first = shown()
+    assert first['source'] == 'estimate' and not first['is_saved']
+    assert first['kept'] == 'Not saved yet. The button writes /c/front.yaml.'
+    fresh = shown(saved_at='10:31:05', saved='True')
+    assert fresh['is_saved'] and fresh['kept'] == 'Saved in /c/front.yaml at 10:31:05.'
+    older = shown(saved_at='10:31:05', saved='False')
+    assert not older['is_saved']
+    assert older['kept'] == ('/c/front.yaml holds the numbers of 10:31:05. Those here are newer: '
+                             'save them, too.')
+    # a reset takes the numbers, and leaves the file
+    state.take_status('planar_calibrator', 'front', 1, 'not calibrated yet', {
+        'frames': '0', 'resets': '1', 'calibration file': '/c/front.yaml', 'saved': 'False',
+        'saved at': '10:31:05'}, 2.0)
+    empty = state.as_dict(2.0)
+    assert empty['source'] == '' and empty['parameters'] == []
+    assert empty['kept'] == '/c/front.yaml holds the calibration that was saved at 10:31:05.'
+
+
+def test_the_numbers_of_an_earlier_run_are_shown_as_such():
+    state = LiveState()
+    state.take_status('planar_calibrator', 'front', 1, 'the calibration of /c/front.yaml is in '
+                      'force; not calibrated yet', {
+                          'frames': '3', 'calibration file': '/c/front.yaml',
+                          'file written': '2026-11-27 10:00', 'file fx': '500', 'file fx sigma':
+                          '0.5', 'file k1': '-0.1'}, 1.0)
+    shown = state.as_dict(1.0)
+    assert shown['source'] == 'file' and not shown['history']
+    assert shown['parameters'] == [{'name': 'fx', 'value': 500.0, 'sigma': 0.5},
+                                   {'name': 'k1', 'value': -0.1, 'sigma': None}]
+    assert 'of an earlier run, written 2026-11-27 10:00.' in shown['kept']
+    # they are no reason to stop
+    assert shown['advice']['kind'] != 'done'
+    state.take_status('planar_calibrator', 'front', 0, 'calibrated', CALIBRATED, 2.0)
+    assert state.as_dict(2.0)['source'] == 'estimate'
+
+
 @pytest.mark.parametrize('values', [{'fx': 'nan', 'fx sigma': 'inf'}, {'fx': '', 'fx sigma': 'x'},
                                     {'frames': '1e999', 'fx': '-1', 'fx sigma': '-2'}])
 def test_nonsense_in_the_diagnostics_is_shown_as_nothing(values):
@@ -110,6 +155,9 @@ def test_nonsense_in_the_diagnostics_is_shown_as_nothing(values):
     ({'is_alive': False}, Kind.TROUBLE, 'Start the nodes'),
     ({'has_changed': True, 'sigma_share': 1e-4}, Kind.TROUBLE, 'The camera has changed'),
     ({'sigma_share': 0.0008, 'no_images': 'no images for 9 s'}, Kind.DONE, 'Save it'),
+    ({'sigma_share': 0.0008, 'saved': '/c/front.yaml'}, Kind.DONE,
+     'It is saved The focal length is known to 0.08 %, and /c/front.yaml holds it.'),
+    ({'sigma_share': 0.01, 'saved': '/c/front.yaml'}, Kind.MOVE, 'Go on'),
     ({'no_images': 'no images for 9 s'}, Kind.TROUBLE, 'No images for 9 s.'),
     ({'has_tracks': False}, Kind.TROUBLE, 'Start the tracker'),
     ({'points': 7}, Kind.TROUBLE, 'Only 7 points'),

@@ -7,8 +7,8 @@
     left: 'M30 42V24a10 10 0 0 0-10-10H8m10-10L8 14l10 10', right: 'M18 42V24a10 10 0 0 1 10-10h12M30 4l10 10-10 10',
     move: 'M24 42V8M10 20L24 6l14 14', done: 'M6 26l12 12L42 10',
     trouble: 'M24 6v24m0 10v.5', wait: 'M24 6a18 18 0 1 0 18 18'};
-  const AFTER_S = 3, AGAIN_MS = 1500, SURE_MS = 4000, ENOUGH_DEG = 30, MOST_DEG = 60;
-  let socket = null, failures = 0, shown = 0, address = '', asking = false;
+  const AFTER_S = 3, AGAIN_MS = 1500, SURE_MS = 4000, ANSWER_MS = 30000, ENOUGH_DEG = 30, MOST_DEG = 60;
+  let stale = 0, socket = null, failures = 0, shown = 0, address = '', asking = false;
 
   const words = (id, text) => { if (find(id).textContent !== text) find(id).textContent = text; };
   const drawn = (name, attributes, text) => {
@@ -31,10 +31,12 @@
 
   const parameters = state => {
     const rows = state.parameters.filter(one => one.value !== null).map(one => {
-      const row = document.createElement('tr'), held = !(one.sigma > 0);
-      const n = held ? (one.value === 0 ? 0 : 4) : digits(one.sigma);
+      const row = document.createElement('tr'), sure = !(one.sigma > 0);
+      const n = sure ? (one.value === 0 ? 0 : 4) : digits(one.sigma);
+      /* a file of another program tells no sigma */
+      const spread = one.sigma === null ? 'not told' : sure ? 'held' : '± ' + one.sigma.toFixed(n);
       for (const [text, kind] of [[one.name, 'name'], [rounded(one.value, n), 'n'],
-                                  [held ? 'held' : '± ' + one.sigma.toFixed(n), 'n']]) {
+                                  [spread, 'n']]) {
         const cell = document.createElement('td');
         cell.textContent = text;
         cell.className = kind;
@@ -44,11 +46,13 @@
     });
     find('parameters').replaceChildren(...rows);
     document.querySelector('#numbers table').hidden = !rows.length;
-    words('state', rows.length ? 'Calibrated' : 'Not calibrated');
-    find('save').classList.toggle('ready', rows.length > 0);
+    const own = state.source === 'estimate';
+    words('state', own ? 'Calibrated' : rows.length ? 'Calibration of an earlier run' : 'Not calibrated');
+    words('kept', state.kept);
+    find('save').classList.toggle('ready', own && !state.is_saved);
     const rms = state.rms_px === null ? '' : `Reprojection ${state.rms_px.toFixed(3)} px rms, ` +
       `motion ${state.motion}.`;
-    words('text', state.alive && rows.length && state.is_well ? rms : state.text);
+    words('text', state.alive && own && state.is_well ? rms : state.text);
   };
 
   const chart = (history, now) => {
@@ -159,6 +163,7 @@
   const press = async name => {
     if (asking) return;
     asking = true;
+    clearTimeout(stale);
     const answer = find('answer');
     answer.className = '';
     answer.textContent = '…';
@@ -172,6 +177,7 @@
       answer.textContent = 'The node does not answer.';
     }
     asking = false;
+    if (answer.className === 'good') stale = setTimeout(() => { answer.textContent = ''; }, ANSWER_MS);
   };
 
   for (const name of ['calibrate', 'save']) find(name).addEventListener('click', () => press(name));
