@@ -60,6 +60,7 @@ _SECTIONS = (
      'show them.', REMARKS),
     ('Steps that give no estimate', 'Functions of one step return these. Where a calibration '
      'rests on one step alone, they are its refusal.', CLOSED_FORMS))
+_ENDING = re.compile(r'\{\w+:(?:plural|[^|}]*\|([^}]*))\}')
 _VALUE = re.compile(r'\{(\w+)(?::[^}]*)?\}')
 
 
@@ -77,7 +78,9 @@ def page() -> str:
 
 def _entry(kind: str, phrase: Phrase) -> str:
     """Describe one kind."""
-    said = _VALUE.sub(r'{\1}', phrase.sentence)
+    # words that depend on a number are those of several
+    said = _ENDING.sub(lambda found: found[1] or 's', phrase.sentence)
+    said = _VALUE.sub(r'{\1}', said)
     return (f'### `{kind}`\n\n> {said}\n\n**What it means.** {phrase.means}\n\n'
             f'**What to do.** {phrase.advice}\n')
 

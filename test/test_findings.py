@@ -178,10 +178,30 @@ def test_no_sigma_is_promised_of_a_camera_that_is_open():
     assert needed.sentence.endswith('would determine fx and fy.') and '±' not in needed.sentence
 
 
+@pytest.mark.parametrize('kind, values, said', [
+    ('static_matches', {'matches': 1}, 'Up to 1 match a pair stays still in the image while'),
+    ('static_matches', {'matches': 7}, 'Up to 7 matches a pair stay still in the image while'),
+    ('still_tracks', {'tracks': 1, 'share': 0.02},
+     '1 track (2 % of the positions) stands still in the image all the time while others move, '
+     'and was set aside.'),
+    ('positions_contradictory', {'positions': 1},
+     '1 position that contradicts the epipolar geometry was dropped.'),
+    ('positions_contradictory', {'positions': 77},
+     '77 positions that contradict the epipolar geometry were dropped.'),
+    ('body_poses_set_aside', {'count': 1, 'of': 22},
+     '1 of 22 poses of the body contradicts the others and was set aside.'),
+    ('window_few_points', {'points': 1}, 'Only 1 point is seen in several keyframes.')])
+def test_a_single_thing_is_spoken_of_as_one(kind, values, said):
+    assert put_in_words(KINDS[kind].sentence, values).startswith(said)
+
+
 @pytest.mark.parametrize('text, values, said', [
     ('{a:percent} %', {'a': 0.354}, '35 %'),
     ('{n} group{n:plural}', {'n': 1}, '1 group'),
     ('{n} group{n:plural}', {'n': 2}, '2 groups'),
+    ('{n} {n:match|matches}', {'n': 1}, '1 match'),
+    ('{n} {n:match|matches}', {'n': 2}, '2 matches'),
+    ('{n} {n:match|matches}', {'n': 0}, '0 matches'),
     ('{n:number}', {'n': 3}, 'three'),
     ('{a}', {'a': ('fx', 'aspect_ratio')}, 'fx, aspect ratio'),
     ('{a:and}', {'a': ('skew', 'aspect_ratio')}, 'skew and aspect ratio'),

@@ -221,12 +221,12 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'Name the objects that stand parallel, or use an image with two that do.'),
     # one view of a known object
     'view_too_few': Phrase(
-        'Frame {frame} has {points} points, where at least 4 of a plane or 6 of a solid are '
-        'needed.',
+        'Frame {frame} has {points} point{points:plural}, where at least 4 of a plane or 6 of a '
+        'solid are needed.',
         'The view gives fewer equations than it has unknowns.',
         'Show more of the object in this view.'),
     'view_too_few_of_solid': Phrase(
-        'Frame {frame} has {points} points, where a solid needs at least 6.',
+        'Frame {frame} has {points} point{points:plural}, where a solid needs at least 6.',
         'The view gives fewer equations than it has unknowns.',
         'Show more of the object in this view.'),
     'view_on_line': Phrase(
@@ -255,7 +255,7 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'The camera stood still or only turned. The window is skipped.',
         'Nothing; the next window may tell.'),
     'window_few_points': Phrase(
-        'Only {points} points are seen in several keyframes.',
+        'Only {points} point{points:plural} {points:is|are} seen in several keyframes.',
         'The tracks are too short. The window is skipped.',
         'Nothing; the next window may tell.'),
     'window_outside_lens': Phrase(
@@ -293,8 +293,8 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'The scale of the model comes from the distance of these points.',
         'Name two different points.'),
     'corners_disagree': Phrase(
-        'Only {corners} corners of lines look alike in both images, and no four of them agree on '
-        'a translation; pick the vertices by hand.',
+        'Only {corners} corner{corners:plural} of lines {corners:looks|look} alike in both '
+        'images, and no four of them agree on a translation; pick the vertices by hand.',
         'The images show too few distinct corners, or the camera turned.',
         'Pick the vertices by hand: `selfcal model --vertices`.'),
     'no_connected_lines': Phrase(

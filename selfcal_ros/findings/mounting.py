@@ -29,8 +29,8 @@ MOUNTING: dict[str, Phrase] = {
         'It was recorded at another time than the images, or with long gaps.',
         'Record images and gyro together, by clocks that differ by less than half a second.'),
     'gyro_contradicts': Phrase(
-        'The gyro contradicts the turns of the camera: {dropped} of {intervals} intervals were '
-        'set aside, and the rest differ by {density_deg:.2g}° in a second.',
+        'The gyro contradicts the turns of the camera: {dropped} of {intervals} intervals '
+        '{dropped:was|were} set aside, and the rest differ by {density_deg:.2g}° in a second.',
         'It is on another body, its axes are left-handed, or its clock is not that of the images.',
         'Check the topic of the gyro, its axes, and that it reports radians a second.'),
     'gyro_leaves_an_axis_open': Phrase(
@@ -48,7 +48,7 @@ MOUNTING: dict[str, Phrase] = {
         'Turn to and fro, so that the rate of turning changes.'),
     # from poses of the body
     'too_few_body_poses': Phrase(
-        'Of {images} images, {found} have a pose of the body; a mount needs {needed}.',
+        'Of {images} images, {found} {found:has|have} a pose of the body; a mount needs {needed}.',
         'The poses end before the images begin, or leave gaps where images were taken.',
         'Record poses and images over the same time, by clocks that agree to half a second.'),
     'body_stood_still': Phrase(
@@ -77,8 +77,8 @@ MOUNTING: dict[str, Phrase] = {
         'The calibration stands without them.',
         'Correct what publishes the poses, or the names of the frames.'),
     'floor_not_seen': Phrase(
-        'No floor is seen that would tell the height of the camera: {points} points below it lie '
-        'in one level plane.',
+        'No floor is seen that would tell the height of the camera: {points} point{points:plural} '
+        'below it {points:lies|lie} in one level plane.',
         'A floor is a thin level layer of many points below the camera.',
         'Look lower, at a floor with texture, or state the height.'),
     'floor_on_torn_path': Phrase(
@@ -87,8 +87,8 @@ MOUNTING: dict[str, Phrase] = {
         'The metre of one part would be taken for that of the other.',
         'Record slower there, so that more of the scene stays in view, or state the height.'),
     'floor_not_lowest': Phrase(
-        'The fullest plane below the camera, at {depth:.2f} m, is not the floor: {points} points '
-        'lie below it.',
+        'The fullest plane below the camera, at {depth:.2f} m, is not the floor: {points} '
+        'point{points:plural} {points:lies|lie} below it.',
         'It may be a shelf, a table, or the roof of something low.',
         'Drive where the floor fills more of the image, or state the height.'),
     'floor_too_narrow': Phrase(
@@ -203,7 +203,8 @@ MOUNTING: dict[str, Phrase] = {
         'Record quicker motion, or state the offset.'),
     # what to know of a mount
     'body_poses_set_aside': Phrase(
-        '{count} of {of} poses of the body contradict the others and were set aside.',
+        '{count} of {of} poses of the body {count:contradicts|contradict} the others and '
+        '{count:was|were} set aside.',
         'Wheels slip, and a pose may be of another moment. The estimate goes without them.',
         'Nothing; many of them mean wrong stamps or frames.'),
     'poses_pull_camera': Phrase(

@@ -47,12 +47,13 @@ class _Words(Formatter):
     """
     Formats as `str.format` does, and knows lists and some endings.
 
-    Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
-    number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
-    help), `frames`, `names` (of files, say), `motion` (a key of `MOTIONS`), `sigmas` (what would
-    be reached), `measured` (a value with its sigma), `later` (a time, or a share of one),
-    `changes` (several, by name), `preferred` (values in place of those stated), `clause` (another
-    finding, without its full stop).
+    Specifications of its own: `one|many` (the first word where the number is one, else the
+    second), `percent` (a fraction, without decimals), `plural` (an s unless the number is one),
+    `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would help), `frames`,
+    `names` (of files, say), `motion` (a key of `MOTIONS`), `sigmas` (what would be reached),
+    `measured` (a value with its sigma), `later` (a time, or a share of one), `changes` (several,
+    by name), `preferred` (values in place of those stated), `clause` (another finding, without
+    its full stop).
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -61,6 +62,9 @@ class _Words(Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec in _ENDINGS:
             return _ENDINGS[format_spec](value)
+        if '|' in format_spec:
+            one, many = format_spec.split('|')
+            return one if value == 1 else many
         if isinstance(value, (list, tuple)):
             return ', '.join(str(one).replace('_', ' ') for one in value)
         return 'unknown' if value is None else format(value, format_spec)

@@ -49,11 +49,13 @@ REFUSALS: dict[str, Phrase] = {
         'Nearly every point stays where it is. One view does not determine a camera.',
         'Move and turn the camera between the images.'),
     'too_few_images': Phrase(
-        'Only {images} images share points; self-calibration needs at least three.',
+        'Only {images} image{images:plural} {images:shares|share} points; self-calibration needs '
+        'at least three.',
         'Two images do not determine the internal parameters of a camera.',
         'Record a longer sequence with turns.'),
     'too_few_observations': Phrase(
-        '{points} points in {images} images leave {freedom} degrees of freedom; the estimate '
+        '{points} point{points:plural} in {images} image{images:plural} {points:leaves|leave} '
+        '{freedom} degree{freedom:plural} of freedom; the estimate '
         'could not be checked.',
         'The unknowns take up nearly all observations. Errors would not show in the residuals.',
         'More points or more images are needed.'),

@@ -283,11 +283,12 @@ REMARKS: dict[str, Phrase] = {
         'Nothing is wrong with the result. Move while you turn, if you record again.'),
     # known objects
     'points_of_no_object': Phrase(
-        '{count} observations of points that the object does not have were left out.',
+        '{count} observation{count:plural} of points that the object does not have '
+        '{count:was|were} left out.',
         'The tracks have point numbers that are not in the file of object points.',
         'Check the file of object points.'),
     'views_left_out': Phrase(
-        '{count} views were left out: {why:clause}.',
+        '{count} view{count:plural} {count:was|were} left out: {why:clause}.',
         'These views show too few points. The reason of the first is given.',
         'Show more of the object in these views.'),
     'board_bent': Phrase(
@@ -364,27 +365,28 @@ REMARKS: dict[str, Phrase] = {
         'the division model; the bend is its coefficient.',
         'Nothing.'),
     'static_matches': Phrase(
-        'Up to {matches} matches a pair stay still in the image while the scene moves (dirt, the '
-        'robot); they had no vote on the geometry.',
+        'Up to {matches} {matches:match|matches} a pair {matches:stays|stay} still in the image '
+        'while the scene moves (dirt, the robot), without a vote on the geometry.',
         'What moves with the camera says nothing of the scene. Neither does the background of a '
         'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
     'still_tracks': Phrase(
-        '{tracks} tracks ({share:percent} % of the positions) stand still in the image all the '
-        'time while others move; they were set aside.',
+        '{tracks} track{tracks:plural} ({share:percent} % of the positions) {tracks:stands|stand} '
+        'still in the image all the time while others move, and {tracks:was|were} set aside.',
         "They move with the camera, as a robot's body or a reflection does. Or a fixed camera "
         'sees them beside a thing that moves. Either way they say nothing of the motion that '
         'calibrates.',
         'Nothing; a mask cuts such parts out exactly.'),
     'fixed_camera': Phrase(
-        '{tracks} tracks ({share:percent} % of the positions) stood still all over: '
+        '{tracks} track{tracks:plural} ({share:percent} % of the positions) stood still all over: '
         'the camera was taken as fixed, and calibrated from what moves before it.',
         'A camera that moves sees no point of a still scene stay where it is all the time. What '
         'moves as one rigid body before a fixed camera calibrates it as well.',
         'Let the thing that moves fill more of the image. If the camera did move, mask what moves '
         'with it.'),
     'fixed_camera_features': Phrase(
-        '{features} features an image ({share:percent} %) stood still all the time: the camera '
+        '{features} feature{features:plural} an image ({share:percent} %) stood still all the '
+        'time: the camera '
         'was taken as fixed, and calibrated from what moves before it.',
         'Photographs by a camera that moves show no point of a still scene at the same place. '
         'What moves as one rigid body before a fixed camera calibrates it as well.',
@@ -403,7 +405,8 @@ REMARKS: dict[str, Phrase] = {
         'Clean the lens, or keep the robot out of the image.'),
     'static_region': Phrase(
         'The image stands still in x {left_px:.0f} to {right_px:.0f}, y {top_px:.0f} to '
-        "{bottom_px:.0f}, as a robot's body does; {positions} positions in it were dropped.",
+        "{bottom_px:.0f}, as a robot's body does; {positions} position{positions:plural} in it "
+        '{positions:was|were} dropped.',
         'Most tracks there stay where they are, or shake about a place. A body that shines, or '
         'slides along the scene, would mislead.',
         'Nothing; a mask cuts the part out exactly.'),
@@ -413,11 +416,12 @@ REMARKS: dict[str, Phrase] = {
         'Nothing; many of them mean a repeated pattern.'),
     'positions_unregistered': Phrase(
         '{dropped} of {positions} positions could not be registered to sub-pixel accuracy and '
-        'were dropped.',
+        '{dropped:was|were} dropped.',
         'The patches look too different, or blurred.',
         'Nothing; sharper images lose fewer.'),
     'positions_contradictory': Phrase(
-        '{positions} positions that contradict the epipolar geometry were dropped.',
+        '{positions} position{positions:plural} that {positions:contradicts|contradict} the '
+        'epipolar geometry {positions:was|were} dropped.',
         'They are wrong matches, or things that move.',
         'Nothing; many of them mean that the scene moves.'),
     'keyframes_chosen': Phrase(
