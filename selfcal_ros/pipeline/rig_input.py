@@ -188,11 +188,9 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
             one.path, one.topic, settings.image_size, excerpt=settings.excerpt))
             for one in inputs]
         reading = _read(inputs, sources, settings, progress)
-    if progress:
-        progress('estimating', 0, None)
     result = calibrate_rig(reading.tracks, shared_tracks=reading.shared, motion=settings.motion,
                            facts=settings.facts, baseline=baseline,
-                           rng=generator(settings.seed))
+                           rng=generator(settings.seed), progress=progress)
     if robot is not None and isinstance(result, RigCalibration):
         from selfcal_ros.calibration.rigs.on_robot import on_robot
         of_first = ExtractedTracks(reading.tracks[first.name], reading.description,

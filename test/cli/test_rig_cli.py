@@ -26,9 +26,11 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
+from selfcal_ros import CameraFacts
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.pipeline.rig_input import rig_inputs
+from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
@@ -52,6 +54,21 @@ def calibrated(tmp_path_factory):
                    '--json', str(folder / 'result.json'), '--report', str(folder / 'rig.html'),
                    '--colmap', str(folder / 'colmap'), '--quiet'])
     return scene, folder, status, json.loads((folder / 'result.json').read_text('utf-8'))
+
+
+def test_the_progress_of_a_rig_names_the_camera_and_the_rig(tmp_path):
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 6),
+                      overlap=True, points=60)
+    for name, tracks in scene.tracks.items():
+        tracks.to_csv(tmp_path / f'{name}.csv')
+    told = []
+    settings = CalibrationSettings(image_size=(640, 480), facts=CameraFacts(
+        aspect_ratio=1.0, skew=0.0, distortion='none'))
+    result, _ = calibrate_rig_input(
+        rig_inputs([tmp_path / 'left.csv', tmp_path / 'right.csv'], 'left,right'), settings,
+        progress=lambda text, done, total: told.append(text))
+    assert result
+    assert told == ['estimating left', 'estimating right', 'estimating the rig']
 
 
 def test_the_result_has_every_camera_and_the_rig(calibrated):

@@ -21,7 +21,7 @@ ends it: u = lens[camera](T_camera_rig[camera] · T_rig_world[view] · X).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 import logging
 
@@ -65,6 +65,7 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
                   baseline: tuple[float, float] | None = None,
                   rng: np.random.Generator | None = None,
                   alone: Mapping[str, Calibration | NotCalibrated] | None = None,
+                  progress: Callable | None = None,
                   ) -> RigCalibration | NotCalibrated:
     """
     Calibrate cameras that move together, of which nothing need be known.
@@ -87,6 +88,8 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
         For RANSAC.
     alone : mapping of str to Calibration or NotCalibrated, optional
         What `selfcal_ros.calibrate` says of cameras by themselves, where that is known already.
+    progress : callable, optional
+        Called as progress(text, done, total) when a camera begins, and when the rig does.
 
     Returns
     -------
@@ -128,6 +131,7 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     single, known = dict(alone or {}), {}
     for name, one in tracks.items():
         if name not in single:
+            _tell(progress, f'estimating {name}')
             single[name] = calibrate(one, motion=motion, facts=of_camera[name], rng=rng)
         found = single[name]
         if isinstance(found, Calibration) and not np.isin(found.frames, one.frames).all():
@@ -135,10 +139,12 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
                                 'lack; calibrate it from these tracks.')
         if isinstance(found, NotCalibrated) and found.kind in WITHOUT_FACTS:
             # square pixels are for the start alone
+            _tell(progress, f'estimating {name} with square pixels, for a start')
             found = calibrate(one, motion=motion, rng=rng,
                               facts=replace(of_camera[name], aspect_ratio=1.0, skew=0.0))
         if isinstance(found, Calibration):
             known[name] = found
+    _tell(progress, 'estimating the rig')
     result: RigCalibration | NoEstimate
     try:
         result = _calibrated(tracks, of_camera, single, known, shared_tracks, baseline)
@@ -150,6 +156,12 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     return NotCalibrated.of(result, frames=np.unique(np.concatenate(
         [one.frames for one in tracks.values()])), facts=next(iter(of_camera.values())),
         software=f'selfcal_ros {__version__}')
+
+
+def _tell(progress: Callable | None, text: str) -> None:
+    """Tell that a stage begins, which cannot know how far it is."""
+    if progress is not None:
+        progress(text, 0, None)
 
 
 def _facts_by_name(tracks: Mapping[str, Tracks],
