@@ -113,8 +113,20 @@ class SentenceParser(argparse.ArgumentParser):
     def error(self, message: str):
         """Say in one sentence what is wrong, and end."""
         from selfcal_ros.cli.colours import complaint
+        message = self._in_full(message)
         sentence = f'{message}; {self._meant(message)}{self.prog} --help tells more.'
         self.exit(EXIT_INPUT, complaint(self.prog, sentence) + '\n')
+
+    def _in_full(self, message: str) -> str:
+        """Say which options a word that is short for several may mean, and what they take."""
+        found = re.match(r'ambiguous option: (\S+?)(?:=.*)? could match (.*)', message, re.DOTALL)
+        if not found:
+            return message
+        takes = {name: f'{name} {action.metavar}' if isinstance(action.metavar, str) else name
+                 for action in self._actions for name in action.option_strings}
+        named = [takes.get(name, name) for name in sorted(found[2].split(', '))]
+        return (f'{found[1]} may be {", ".join(named[:-1])} or {named[-1]}; write the one that '
+                'you mean in full')
 
     def _meant(self, message: str) -> str:
         """Name the word that is closest to a wrong one."""

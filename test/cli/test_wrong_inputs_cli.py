@@ -38,6 +38,9 @@ from test_support.command_line import selfcal, SIZE
                           ('track', ['x', '--model', 'm', '--camera', 'c']), ('watch', []),
                           ('model', ['x', '--camera', 'c']), ('completion', ['bash']),
                           ('demo', []))),
+    *((['calibrate', 'x.csv', word], 'selfcal calibrate: --out may be --output CAMERA.YAML or '
+       '--output-dir FOLDER; write the one that you mean in full; selfcal calibrate --help')
+      for word in ('--out', '--out=a could match b.yaml')),
     (['--versoin'], 'did you mean --version? selfcal --help tells more.'),
     (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
     (['calibrate', 'x.csv', '--jobs', 'many'], "'many' is no number of processes"),
