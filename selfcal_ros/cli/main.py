@@ -74,16 +74,30 @@ def main(argv: list[str] | None = None) -> int:
         return _run(list(argv))
     # the demo shows what its nodes log, and whoever wants to hear more gets everything
     loud = any(word == 'demo' or word.startswith(('-v', '--verb')) for word in sys.argv[1:])
-    with own_process(library_noise=loud):
+    verb = _verb_of(sys.argv[1:])
+    # a page is watched until it is closed
+    unfinished = '' if verb == 'watch' else (
+        f'{_name_of(verb)}: interrupted; each file that it wrote by then is whole.')
+    with own_process(library_noise=loud, unfinished=unfinished):
         return _run(sys.argv[1:])
     return EXIT_FAULT
+
+
+def _verb_of(argv: list[str]) -> str | None:
+    """Return the first word that is no option."""
+    return next((word for word in argv if not word.startswith('-')), None)
+
+
+def _name_of(verb: str | None) -> str:
+    """Return what a verb is called in messages."""
+    return f'selfcal {verb}' if verb in VERBS else 'selfcal'
 
 
 def _run(argv: list[str]) -> int:
     """Run a verb; what goes wrong is a sentence."""
     from selfcal_ros.errors import SelfcalError
-    verb = next((word for word in argv if not word.startswith('-')), None)
-    name = f'selfcal {verb}' if verb in VERBS else 'selfcal'
+    verb = _verb_of(argv)
+    name = _name_of(verb)
     try:
         parser = build_parser(verb)
         args = parser.parse_args(argv)

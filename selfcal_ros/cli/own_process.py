@@ -38,7 +38,7 @@ class EndedBySignal(BaseException):
 
 
 @contextmanager
-def own_process(library_noise: bool = False) -> Iterator[None]:
+def own_process(library_noise: bool = False, unfinished: str = '') -> Iterator[None]:
     """
     Run a command that has the process for itself.
 
@@ -47,6 +47,8 @@ def own_process(library_noise: bool = False) -> Iterator[None]:
     library_noise : bool
         Let libraries of C, and other processes, write to standard error. What they have to say of
         a damaged file, we say in a sentence.
+    unfinished : str
+        What is said of an interrupt from the keyboard; empty where that is the usual end.
 
     SIGTERM and SIGHUP unwind it, so that temporary files and other processes go with it, and then
     end it as they would have. Closed streams lead nowhere, and what a terminal cannot show is
@@ -75,7 +77,8 @@ def own_process(library_noise: bool = False) -> Iterator[None]:
         _leave(ended.number)
     except KeyboardInterrupt:
         with suppress(OSError):
-            print(file=sys.stderr)
+            # the terminal shows ^C in that line
+            print('\n' + unfinished if sys.stderr.isatty() else unfinished, file=sys.stderr)
         _leave(signal.SIGINT)
 
 

@@ -98,6 +98,23 @@ def test_a_signal_that_an_import_swallows_still_ends_the_process(number):
     assert b'Traceback' not in done.stderr and b'fault' not in done.stderr
 
 
+@posix
+@pytest.mark.parametrize('verb, said', [
+    ('compare', b'selfcal compare: interrupted; each file that it wrote by then is whole.\n'),
+    ('watch', b'\n')])
+def test_an_interrupt_is_one_sentence_and_ends_the_process_as_shells_expect(verb, said):
+    code = ('import os, signal, sys\n'
+            'from selfcal_ros.cli import main\n'
+            'signal.signal(signal.SIGINT, signal.default_int_handler)\n'
+            f'sys.argv = ["selfcal", {verb!r}]\n'
+            'main._run = lambda argv: os.kill(os.getpid(), signal.SIGINT)\n'
+            'sys.exit(main.main())\n')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, timeout=120,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)}, check=False)
+    # a shell tells of 130
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, said)
+
+
 def alive(process: int) -> bool:
     """Tell whether a process runs; the dead that nobody has buried do not."""
     try:
