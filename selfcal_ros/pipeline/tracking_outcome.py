@@ -97,7 +97,8 @@ class TrackingRun:
         if self.cameras and self.images:
             seen_by = ', '.join(f'{name} in {count}' for name, count in self.cameras.items())
             lines.append(f'The object was seen by {seen_by}.')
-        lines += [f'Lost from image {first} to {last}: {reason}'
+        lines += [(f'Lost in image {first}: {reason}' if first == last else
+                   f'Lost from image {first} to {last}: {reason}')
                   for first, last, reason in self.stretches[:MAX_REMARKS]]
         if len(self.stretches) > MAX_REMARKS:
             lines.append(f'... and {len(self.stretches) - MAX_REMARKS} times more.')

@@ -37,6 +37,8 @@ from selfcal_ros.report.projection_uncertainty import parameter_effect
 GRID = 25
 #: Verdicts: a p-value below the first is a difference, below the second worth a look.
 SURE, DOUBTFUL = 0.001, 0.05
+#: Nothing but rounding, as after a conversion.
+ALIKE_PX = 1e-9
 #: Below the first nobody will notice, below the second few: the noise of a corner, and a pixel.
 SAME_PX, SMALL_PX = 0.1, 1.0
 #: Effects of parameters below this share of the largest are rounding: the root of that of the
@@ -136,6 +138,8 @@ class Comparison:
     def verdict(self) -> str:
         """Say in words what the difference means."""
         most = float(np.nanmax(self.distance_px))
+        if most < ALIKE_PX and self.agree is not False:
+            return 'The calibrations are the same, but for rounding.'
         size = ('nobody will notice' if most < SAME_PX else
                 'matters to precise measurements only' if most < SMALL_PX else
                 'matters to whoever measures in these images')

@@ -125,7 +125,7 @@ def _comparison(camera: CameraSummary) -> str:
     """Say what came of a camera, and whether its recordings agree."""
     total = len(camera.outcomes)
     good = sum(bool(outcome.result) for outcome in camera.outcomes)
-    of_many = f'{good} of {total} recordings calibrate'
+    of_many = f'{good} of {total} recordings {"calibrates" if good == 1 else "calibrate"}'
     joint = camera.joint
     if joint is None:
         return f'None of {total} recordings calibrates.'

@@ -64,10 +64,12 @@ def read_limited(path: str | Path, limit: int, what: str = '') -> bytes:
             if handed:
                 os.set_blocking(descriptor, True)
             elif stat.S_ISDIR(mode):
-                raise InputError(f'{name} cannot be read: Is a directory.')
+                raise InputError(f'{name} cannot be read: Is a directory; name a file in it.')
             elif not stat.S_ISREG(mode):
                 raise InputError(f'{name} is no file but a device or a pipe; give a file.')
             raw = stream.read(limit + 1)
+    except FileNotFoundError as error:
+        raise InputError(f'{name} cannot be read: {error.strerror}; check the path.') from None
     except (OSError, ValueError) as error:
         why = getattr(error, 'strerror', None) or error
         raise InputError(f'{name} cannot be read: {why}.') from None

@@ -22,6 +22,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_run import (playing_rate_hz, read_start, Target,
                                                track_objects)
 from selfcal_ros.pipeline.tracking_session import TrackingSession
@@ -229,3 +230,10 @@ def test_starts_are_read_from_numbers_files_and_clicks(recording, tmp_path):
             ('nowhere.pos', None, InputError, 'nowhere.pos')):
         with pytest.raises(error, match=words):
             read_start(init, given, made.camera)
+
+
+def test_a_loss_in_a_single_image_is_told_as_one():
+    run = TrackingRun(images=5, by_state={'lost': 4, 'tracking': 1},
+                      stretches=[(2, 2, 'Hidden.'), (7, 9, 'Gone.')])
+    said = run.text().splitlines()
+    assert 'Lost in image 2: Hidden.' in said and 'Lost from image 7 to 9: Gone.' in said
