@@ -364,5 +364,6 @@ def _bind(host: str, port: int) -> list[socket.socket]:
             return bind_sockets(number, address=host, family=family)
         except (OSError, UnicodeError) as error:
             fault = error
-    raise ArgumentError(f'Cannot serve the live page on {host!r:.80}, port {port}: {fault}; give '
+    why = getattr(fault, 'strerror', None) or fault
+    raise ArgumentError(f'Cannot serve the live page on {host!r:.80}, port {port}: {why}; give '
                         'another host or port (port 0: any that is free).')
