@@ -52,6 +52,15 @@ def test_a_rim_before_another_part_is_no_end():
     assert not buffer.ends_beside(rim, out).any()
 
 
+def test_another_part_behind_a_rim_is_told_from_the_background():
+    buffer = DepthBuffer(np.concatenate([square(0.2, 2.0), square(0.05, 1.0)], axis=1))
+    rim = np.array([[0.05, 0, 1.0], [0.0, -0.05, 1.0], [0.2, 0, 2.0]]).T
+    out = np.array([[1.0, 0, 0], [0, -1, 0], [1, 0, 0]]).T
+    assert buffer.farther_beside(rim, out, 0.1).tolist() == [True, True, False]
+    assert not buffer.farther_beside(rim, out, 1.1).any()
+    assert not buffer.farther_beside(rim, -out, 0.1).any()
+
+
 def test_points_far_outside_see_the_background():
     buffer = DepthBuffer(square(0.2, 1.0))
     far = np.array([[50.0, -40, 1], [-1e6, 1e6, 1]]).T

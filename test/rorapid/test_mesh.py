@@ -248,6 +248,30 @@ def test_the_outline_of_a_ball_is_its_rim():
     assert np.abs((place * seen.tangents).sum(axis=1)).max() < 0.01
 
 
+def test_a_rim_before_another_part_is_searched_but_need_not_show():
+    small, large = bean(), bean()
+    shift, camera_m = np.array([0.0, 0.0, -0.12]), 0.6
+    for ball, radius_m in ((small, 0.02), (large, 0.06)):
+        ball[0][:] *= radius_m / np.linalg.norm(ball[0], axis=1, keepdims=True)
+    vertices = np.concatenate([small[0] + shift, large[0]])
+    visible = VisibleMesh(MeshModel.build(
+        vertices, np.concatenate([small[1], large[1] + len(small[0])]), 'two balls'))
+    points = visible.control_points(np.eye(3), [0, 0, camera_m])
+    before = (points.primitive >= visible.outline) & (points.primitive < visible.limb)
+    assert before.sum() == 36 and not points.inward[before].any()
+    # each lies where a ray from the camera touches the small ball, and goes on to the large one
+    place, centre = points.object_points[before], np.array([0, 0, -camera_m])
+    assert np.linalg.norm(place - shift, axis=1) == pytest.approx(0.02, rel=0.01)
+    rays = (place - centre) / np.linalg.norm(place - centre, axis=1, keepdims=True)
+    assert np.abs(((place - shift) * rays).sum(axis=1)).max() < 0.05 * 0.02
+    assert np.linalg.norm(np.cross(rays, centre), axis=1).max() < 0.06
+    # and all around it
+    turn = np.sort(np.arctan2(*place[:, :2].T))
+    assert np.diff(turn, append=turn[0] + 2 * np.pi).max() < np.deg2rad(25)
+    outline = points.object_points[points.primitive >= visible.limb]
+    assert np.linalg.norm(outline, axis=1) == pytest.approx(0.06, rel=0.01)
+
+
 @lru_cache(maxsize=None)
 def followed():
     vertices, faces = ring()

@@ -53,9 +53,10 @@ class ControlView:
     curvature : ndarray, shape (C,)
         In the image, per pixel; positive where the curve bends towards the normal.
     outline : int
-        Primitives from this on are pieces of one outline.
+        Primitives from this on are pieces of rims, which do not disturb each other.
     limb : int
-        Primitives from this on are limbs: where a round part turns away.
+        Primitives from this on are limbs: where a round part turns away before the background.
+        Those between `outline` and this turn away before another part of the object.
 
     """
 
@@ -77,6 +78,15 @@ class ControlView:
     def contour(self) -> np.ndarray:
         """Where the background is seen on one side, (C,) bool."""
         return self.inside != 0
+
+    @property
+    def must_show(self) -> np.ndarray:
+        """
+        Where an edge is missed if none is seen, (C,) bool.
+
+        Where a round part turns away before another one, grey may meet the same grey.
+        """
+        return (self.primitive < self.outline) | (self.primitive >= self.limb)
 
 
 class ControlModel:

@@ -114,7 +114,8 @@ class EdgeSearch:
         same = found & (contrast_matches(fit.contrast, wanted)
                         | contrast_matches(fit.contrast, light * wanted))
         # in clutter the edge of one is that of another: it speaks for no line
-        return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
+        weight = fit.clutter_weight * fit.view.must_show[fit.at]
+        return float(weight @ same / max(weight.sum(), 1e-9))
 
     def scatter(self, fit: EdgeFit) -> tuple[np.ndarray, np.ndarray]:
         """

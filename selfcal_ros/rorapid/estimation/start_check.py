@@ -129,7 +129,7 @@ class StartCheck:
 
     def seen(self, image: np.ndarray, view: ControlView) -> Support:
         """Look at the places of a view only: fewer, where it is that of the tracker."""
-        at = np.flatnonzero(view.searched)
+        at = np.flatnonzero(view.searched & view.must_show)
         if not len(at):
             return Support()
         edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at], 4),

@@ -88,13 +88,37 @@ class DepthBuffer:
         ndarray of bool, shape (M,)
 
         """
+        return np.logical_and.reduce([np.isinf(depth) for depth in self._beside(points, out)])
+
+    def farther_beside(self, points: np.ndarray, out: np.ndarray, by: float) -> np.ndarray:
+        """
+        Tell beside which points another part of the surface is seen, farther away.
+
+        Parameters
+        ----------
+        points : ndarray, shape (3, M)
+            Camera frame.
+        out : ndarray, shape (3, M)
+            Directions out of the surface.
+        by : float
+            So much farther at the least, metres.
+
+        Returns
+        -------
+        ndarray of bool, shape (M,)
+
+        """
+        return np.logical_and.reduce([
+            np.isfinite(depth) & (depth > points[2] + by) for depth in self._beside(points, out)])
+
+    def _beside(self, points: np.ndarray, out: np.ndarray) -> list[np.ndarray]:
+        """Return the nearest depths (M,) in two cells beside points, infinite without any."""
         x, y = points[:2] / points[2]
         u, v = out[0] - x * out[2], out[1] - y * out[2]
         length = self._step / np.maximum(np.hypot(u, v), 1e-300)
         u *= length
         v *= length
-        return np.logical_and.reduce([
-            np.isinf(self._nearest[self._cells(x + far * u, y + far * v)]) for far in _BESIDE])
+        return [self._nearest[self._cells(x + far * u, y + far * v)] for far in _BESIDE]
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Numbers of the cells that places (M,) on the plane z = 1 lie in."""

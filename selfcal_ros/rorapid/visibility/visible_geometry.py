@@ -85,7 +85,8 @@ class VisibleGeometry(Protocol):
     size : int
         Number of all control points.
     outline, limb : int
-        Primitives from this on are pieces of one outline; or limbs of round parts.
+        Primitives from this on are pieces of rims; or limbs of round parts. Between the two are
+        rims before other parts of the object.
     end_m : ndarray, shape (size,)
         Distance of each control point from the nearer end of its line, infinite without an end.
     counts : ndarray of int, shape (P,)

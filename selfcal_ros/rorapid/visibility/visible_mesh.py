@@ -17,8 +17,10 @@ What a mesh shows from a pose: creases, and the outline of its round parts.
 The rim of a round part is where the surface turns away: n . (X - c) = 0 with the normal n between
 those of the smooth vertices. On each edge of the mesh where it changes its sign lies a point of
 the rim; the image of the rim runs along n x (X - c) there. What hides what is found with a coarse
-depth buffer. Only where the background begins beside it, the rim is an outline to be searched:
-where a round part turns away before another, one grey of the object meets the same grey.
+depth buffer. Where the background begins beside it, the rim is an outline. Where a round part
+turns away before another one, as a handle does before its mug, an edge may be seen: it is searched
+as well, in fewer places. Nothing is concluded where none is found, as one grey of the object may
+meet the same grey.
 """
 
 from __future__ import annotations
@@ -37,6 +39,8 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 #: Places on the outline, and of these so many make a primitive.
 OUTLINE_POINTS, _TOGETHER = 108, 6
+#: Places where a round part turns away before another one.
+_INNER = 36
 #: Points on the surface that fill the depth buffer.
 _SURFACE_POINTS = 20_000
 #: What is nearer than this share of the diameter hides: the surface itself bends away.
@@ -87,16 +91,17 @@ class VisibleMesh:
         self._sides = model.line_sides[line]
         groups = -(-outline_points // _TOGETHER)
         self._outline = groups * _TOGETHER
-        self.primitive = np.concatenate([line, len(length) + np.repeat(np.arange(groups),
-                                                                       _TOGETHER)])
-        self.kind = ('line',) * len(length) + ('contour',) * groups
+        inner = _INNER // _TOGETHER
+        self.primitive = np.concatenate([line, len(length) + np.repeat(
+            np.arange(inner + groups), _TOGETHER)])
+        self.kind = ('line',) * len(length) + ('rim',) * inner + ('contour',) * groups
         self.names = tuple(f'{kind} {k}' for k, kind in enumerate(self.kind))
         self.size = len(self.primitive)
-        self.counts = np.concatenate([counts, np.full(groups, _TOGETHER)])
-        #: Primitives from this on are pieces of one outline.
-        self.outline = self.limb = len(length)
+        self.counts = np.concatenate([counts, np.full(inner + groups, _TOGETHER)])
+        #: Rims before other parts of the object, then the outline.
+        self.outline, self.limb = len(length), len(length) + inner
         end_m = np.minimum(share, 1 - share) * length[line]
-        self.end_m = np.concatenate([end_m, np.full(self._outline, np.inf)])
+        self.end_m = np.concatenate([end_m, np.full(_INNER + self._outline, np.inf)])
         self.bends = np.zeros((self.size, 3))
         corners = model.vertices[model.triangles]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2]
@@ -167,21 +172,24 @@ class VisibleMesh:
         lone = lone[buffer.ends_beside(
             placed[:, lone], rotation @ self._side_normals[lone].sum(axis=1).T)]
         seen = rotation @ rim.T + translation[:, None]
-        keep = np.flatnonzero(~buffer.hides(seen, nearer))
-        keep = keep[buffer.ends_beside(seen[:, keep], rotation @ normals[keep].T)]
-        chosen = self._spread(seen[:, keep].T, keep)
-        missing = self._outline - len(chosen)
-        at = np.concatenate([chosen, np.zeros(missing, int)]) if len(rim) else np.zeros(0, int)
+        near = np.flatnonzero(~buffer.hides(seen, nearer))
+        out = rotation @ normals[near].T
+        ends = buffer.ends_beside(seen[:, near], out)
+        chosen = self._spread(seen[:, near[ends]].T, near[ends], self._outline)
+        inner = near[buffer.farther_beside(seen[:, near], out, nearer)]
+        inner = self._spread(seen[:, inner].T, inner, _INNER)
+        at = np.zeros(_INNER + self._outline, int)
+        at[:len(inner)] = inner
+        at[_INNER:_INNER + len(chosen)] = chosen
         if not len(rim):
-            rim, tangents, normals, missing = centre[None] * 0, np.eye(3)[:1], np.eye(
-                3)[:1], self._outline
-            at = np.zeros(self._outline, int)
-        visible = np.concatenate([crease, np.arange(self._outline) < self._outline - missing])
+            rim, tangents, normals = centre[None] * 0, np.eye(3)[:1], np.eye(3)[:1]
+        visible = np.concatenate([crease, np.arange(_INNER) < len(inner),
+                                  np.arange(self._outline) < len(chosen)])
         kept = np.flatnonzero(visible)
         # an outline is convex across: the object lies against the mean of the two normals
         bent = np.zeros((len(self._points), 3))
         bent[lone] = -self._side_normals[lone].sum(axis=1)
-        inward = np.concatenate([bent, -normals[at]])[kept]
+        inward = np.concatenate([bent, np.zeros((_INNER, 3)), -normals[at[_INNER:]]])[kept]
         both = np.concatenate([self._points, rim[at]])[kept]
         slopes = np.concatenate([self._tangents, tangents[at]])[kept]
         return ControlPoints(both, slopes, self.primitive[kept], np.ones(len(kept), bool), kept,
@@ -239,9 +247,9 @@ class VisibleMesh:
         return buffer.hides(rotation @ points.T + translation[:, None],
                             _NEARER * self.model.diameter_m)
 
-    def _spread(self, seen, keep):
-        """Choose places of the outline (N, 3, camera frame), spread evenly around the object."""
-        if len(keep) <= self._outline:
+    def _spread(self, seen, keep, most):
+        """Choose at most so many places (N, 3, camera frame), spread evenly around the object."""
+        if len(keep) <= most:
             order = self._around(seen)
             return keep[order]
         order = self._around(seen)
@@ -249,7 +257,7 @@ class VisibleMesh:
         step = np.minimum(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[-1:]), axis=1),
                           4 * np.ptp(xy, axis=0).max() / len(xy))
         along = np.cumsum(step)
-        pick = np.searchsorted(along, (np.arange(self._outline) + 0.5) / self._outline
+        pick = np.searchsorted(along, (np.arange(most) + 0.5) / most
                                * along[-1])
         return keep[order[np.unique(np.minimum(pick, len(order) - 1))]]
 
