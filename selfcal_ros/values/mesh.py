@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
@@ -72,12 +73,13 @@ class MeshModel(WireframeModel):
     smooth: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))
     line_sides: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Take what `build` has checked."""
 
     # a constructor by another name: it is called on a class that is named, never on a variable
     @classmethod
-    def build(cls, vertices, triangles, name='', **_):  # type: ignore[override]
+    def build(cls, vertices: ArrayLike, triangles: ArrayLike,  # type: ignore[override]
+              name: str = '', **_: object) -> MeshModel:
         """
         Make a model of a mesh.
 
@@ -122,7 +124,7 @@ class MeshModel(WireframeModel):
         if len(triangles) > MOST_FACES:
             before = len(triangles)
             vertices, triangles, off = simplified(vertices, triangles, MOST_FACES)
-            vertices, triangles, *_ = _clean(vertices, triangles, np.arange(len(vertices)))
+            vertices, triangles = _clean(vertices, triangles, np.arange(len(vertices)))[:2]
             remarks.append(f'{before} faces were simplified to {len(triangles)}, which lie up to '
                            f'{1e3 * off:.2g} mm off.')
         normals = unit(face_normals(vertices, triangles))
@@ -138,11 +140,12 @@ class MeshModel(WireframeModel):
     @cached_property
     def extent(self) -> np.ndarray:
         """Points (N, 3) that span the object: corners of its convex hull."""
-        used = self.vertices[np.unique(self.triangles)]
+        used: np.ndarray = self.vertices[np.unique(self.triangles)]
         try:
-            return used[ConvexHull(used).vertices]
+            outer: np.ndarray = used[ConvexHull(used).vertices]
         except QhullError:
             return used
+        return outer
 
     @property
     def is_outlined(self) -> bool:
@@ -152,7 +155,8 @@ class MeshModel(WireframeModel):
     @cached_property
     def surface_net(self) -> np.ndarray:
         """Edges (N, 2, 3) between smooth vertices, metres."""
-        return self.smooth_points[self.smooth_edges]
+        net: np.ndarray = self.smooth_points[self.smooth_edges]
+        return net
 
     @cached_property
     def smooth_normals(self) -> np.ndarray:
@@ -186,7 +190,8 @@ class MeshModel(WireframeModel):
         return edges_of(self.smooth)[0]
 
 
-def _clean(vertices, triangles, same):
+def _clean(vertices: np.ndarray, triangles: np.ndarray, same: np.ndarray,
+           ) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Join vertices in one place; leave out what is unused, and faces twice or without area."""
     triangles = same[triangles] if len(triangles) else triangles.reshape(0, 3)
     before = len(triangles)
@@ -202,7 +207,8 @@ def _clean(vertices, triangles, same):
     return vertices[used], index.reshape(-1, 3), lost, before - lost - len(index.ravel()) // 3
 
 
-def _creases(vertices, triangles, normals):
+def _creases(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray,
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return creases and borders (L, 2), their faces (L, 2), and smooth corners."""
     count = len(triangles)
     pairs = np.sort(borders(triangles), axis=1)
@@ -234,7 +240,7 @@ def _creases(vertices, triangles, normals):
     return edges[kept], sides[kept], smooth.reshape(-1, 3)
 
 
-def _runs(vertices, creases):
+def _runs(vertices: np.ndarray, creases: np.ndarray) -> np.ndarray:
     """Length (L,) of the run that each of the creases (L, 2) belongs to."""
     if not len(creases):
         return np.zeros(0)
@@ -249,4 +255,5 @@ def _runs(vertices, creases):
     links = one[straight] % count, other[straight] % count
     _, run = connected_components(coo_matrix((np.ones(len(links[0])), links),
                                              shape=(count, count)), directed=False)
-    return np.bincount(run, length)[run]
+    run_m: np.ndarray = np.bincount(run, length)[run]
+    return run_m

@@ -97,7 +97,7 @@ def oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, i
     return result, int((result[:, 0] != triangles[:, 0]).sum())
 
 
-def _agreed(triangles):
+def _agreed(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Turn faces so that neighbours agree; return them (F, 3) and the part of each (F,).
 
@@ -129,21 +129,22 @@ def _agreed(triangles):
     return agreed, whole.ravel()
 
 
-def _over(function, part, rows):
+def _over(function: np.ufunc, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Reduce rows (F, 3) over the faces of each part."""
     order = np.argsort(part, kind='stable')
     return function.reduceat(rows[order], np.flatnonzero(np.diff(part[order], prepend=-1)))
 
 
-def _closed(triangles, part):
+def _closed(triangles: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Which parts have no border, (P,) bool."""
     ends = np.sort(borders(triangles), axis=1)
     keys, count = np.unique(np.column_stack([np.tile(part, 3), ends]), axis=0,
                             return_counts=True)
-    return np.bincount(keys[:, 0], count % 2) == 0
+    closed: np.ndarray = np.bincount(keys[:, 0], count % 2) == 0
+    return closed
 
 
-def _inside(points, corners):
+def _inside(points: np.ndarray, corners: np.ndarray) -> bool:
     """Whether a closed surface of triangles (F, 3, 3) winds around all points (N, 3)."""
     for point in points:
         a, b, c = np.moveaxis(corners - point, 1, 0)

@@ -96,7 +96,7 @@ def simplified(vertices: np.ndarray, triangles: np.ndarray,
     return places, faces, _deviation(vertices, places, faces, stands)
 
 
-def _in_cells(places, faces):
+def _in_cells(places: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Join vertices of one cell that look the same way; vertices, faces, and which went where."""
     normal, of_faces = np.zeros_like(places), face_normals(places, faces)
     for k in range(3):
@@ -115,14 +115,15 @@ def _in_cells(places, faces):
     return middle / count[:, None], left[np.sort(first)], index
 
 
-def _flatness(places, faces, normals):
+def _flatness(places: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Twice the area of faces (F,) over the square of their longest side."""
     corners = places[faces]
     longest = ((corners - np.roll(corners, 1, axis=1))**2).sum(axis=2).max(axis=1)
-    return np.linalg.norm(normals, axis=1) / np.maximum(longest, 1e-300)
+    flatness: np.ndarray = np.linalg.norm(normals, axis=1) / np.maximum(longest, 1e-300)
+    return flatness
 
 
-def _quadrics(places, faces):
+def _quadrics(places: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Sums of plane plane' (V, 4, 4) over the faces of each vertex, by area; borders too."""
     normal = face_normals(places, faces)
     area = np.linalg.norm(normal, axis=1) / 2
@@ -140,14 +141,16 @@ def _quadrics(places, faces):
     return total
 
 
-def _add(total, corners, normal, point, weight):
+def _add(total: np.ndarray, corners: np.ndarray, normal: np.ndarray, point: np.ndarray,
+         weight: np.ndarray) -> None:
     plane = np.column_stack([normal, -(normal * point).sum(axis=1)])
     outer = weight[:, None, None] * plane[:, :, None] * plane[:, None]
     for k in range(corners.shape[1]):
         np.add.at(total, corners[:, k], outer)
 
 
-def _shrunk(places, faces, quadrics, surplus, share, most_m):
+def _shrunk(places: np.ndarray, faces: np.ndarray, quadrics: np.ndarray, surplus: int,
+            share: float, most_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shrink some edges: for each vertex the one it goes onto; new places; new quadrics."""
     ends, size = edges_of(faces)
     a, b = ends.T
@@ -195,7 +198,8 @@ def _shrunk(places, faces, quadrics, surplus, share, most_m):
     return onto, moved, summed
 
 
-def _best(quadrics, one, other):
+def _best(quadrics: np.ndarray, one: np.ndarray, other: np.ndarray,
+          ) -> tuple[np.ndarray, np.ndarray]:
     """Points (E, 3) where the quadrics are least, near the edges, and what they are there."""
     middle = 0.5 * (one + other)
     H = quadrics[:, :3, :3]
@@ -217,7 +221,8 @@ def _best(quadrics, one, other):
     return middle + ways[line, pick], np.maximum(value, 0)
 
 
-def _keeps_surface(ends, size, chosen, count):
+def _keeps_surface(ends: np.ndarray, size: np.ndarray, chosen: np.ndarray, count: int,
+                   ) -> np.ndarray:
     """Which edges leave a surface: their ends have only corners of their faces in common."""
     rows = np.concatenate([ends[:, 0], ends[:, 1]])
     columns = np.concatenate([ends[:, 1], ends[:, 0]])
@@ -229,10 +234,12 @@ def _keeps_surface(ends, size, chosen, count):
     on_border[ends[size != 2]] = True
     inner = size[chosen] == 2
     across = inner & on_border[pairs].all(axis=1)
-    return (common == size[chosen]) & ~across & (size[chosen] <= 2)
+    kept: np.ndarray = (common == size[chosen]) & ~across & (size[chosen] <= 2)
+    return kept
 
 
-def _deviation(vertices, places, faces, stands):
+def _deviation(vertices: np.ndarray, places: np.ndarray, faces: np.ndarray, stands: np.ndarray,
+               ) -> float:
     """Largest distance of vertices (V, 3) from the planes of faces at those they went onto."""
     normal = unit(face_normals(places, faces))
     least = np.full(len(vertices), np.inf)

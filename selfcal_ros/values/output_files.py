@@ -29,16 +29,16 @@ from selfcal_ros.errors import ArgumentError, InputError
 RECORDED = ('.mcap', '.db3', '.bag', '.zstd', '.zst', '.png', '.jpg', '.jpeg', '.bmp', '.tif',
             '.tiff', '.pgm', '.ppm')
 #: Where nobody says what names an output.
-NO_OPTIONS: Mapping[str, str | os.PathLike | None] = MappingProxyType({})
+NO_OPTIONS: Mapping[str, str | os.PathLike[str] | None] = MappingProxyType({})
 
 
 class OutputTaken(InputError):
     """A file that was not there before the work is there now, and is kept."""
 
 
-def check_outputs(outputs: Iterable[str | os.PathLike | None],
-                  inputs: Iterable[str | os.PathLike | None],
-                  options: Mapping[str, str | os.PathLike | None] = NO_OPTIONS) -> None:
+def check_outputs(outputs: Iterable[str | os.PathLike[str] | None],
+                  inputs: Iterable[str | os.PathLike[str] | None],
+                  options: Mapping[str, str | os.PathLike[str] | None] = NO_OPTIONS) -> None:
     """
     Make sure beforehand that outputs can be written, and that none replaces what is read.
 
@@ -88,7 +88,7 @@ def _is_part(output: Path, source: Path) -> bool:
         return False
 
 
-def check_writable(path) -> Path:
+def check_writable(path: str | os.PathLike[str]) -> Path:
     """
     Make sure beforehand that a file can be written, so that no long work is lost at its end.
 
@@ -148,7 +148,7 @@ def claimed(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def atomic_write(path, data: str | bytes, replace: bool = True) -> Path:
+def atomic_write(path: str | os.PathLike[str], data: str | bytes, replace: bool = True) -> Path:
     """
     Write a file: a temporary file beside it, then renamed.
 

@@ -38,4 +38,5 @@ def same_place(vertices: np.ndarray, share: float = 1e-6) -> np.ndarray:
         (np.ones(len(pairs)), tuple(pairs.T)), shape=2 * (len(places),)), directed=False)
     lowest = np.full(len(places), len(vertices))
     np.minimum.at(lowest, group, first)
-    return lowest[group[inverse.ravel()]]
+    place: np.ndarray = lowest[group[inverse.ravel()]]
+    return place

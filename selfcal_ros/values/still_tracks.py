@@ -173,25 +173,27 @@ def find_still_tracks(tracks: Tracks, extents: TrackExtents | None = None) -> St
         tracks.xy[first][still], tracks.xy, tracks.image_size))
 
 
-def _noise_px(xy, of) -> float:
+def _noise_px(xy: np.ndarray, of: np.ndarray) -> float:
     """Estimate the noise of a coordinate from the quieter part of the second differences."""
     bend = np.diff(xy, 2, axis=0)[(of[2:] == of[:-2])]
     # |x| < 0.385 sigma in 30 % of all cases; the variances of three positions add up to 6
     return float(np.percentile(np.abs(bend), 30)) / (0.385 * np.sqrt(6)) if len(bend) else 0.0
 
 
-def _middles(xy, of, first, count) -> np.ndarray:
+def _middles(xy: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return the median place of every track, (P, 2)."""
     return np.stack([_middle(axis, of, first, count) for axis in xy.T], axis=1)
 
 
-def _middle(values, of, first, count) -> np.ndarray:
+def _middle(values: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarray,
+            ) -> np.ndarray:
     """Return the median of every track, (P,): the mean of the two in the middle."""
     ordered = values[np.lexsort((values, of))]
-    return (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
+    middle: np.ndarray = (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
+    return middle
 
 
-def _moved(xy, of, first, count) -> np.ndarray:
+def _moved(xy: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return how far every track went from its first half to its second, pixels (P,)."""
     place = np.arange(len(xy)) - first[of]
     half = (count + 1) // 2
@@ -200,10 +202,11 @@ def _moved(xy, of, first, count) -> np.ndarray:
         part = of[chosen]
         _, begin, number = np.unique(part, return_index=True, return_counts=True)
         ends.append(_middles(xy[chosen], part, begin, number))
-    return np.linalg.norm(ends[1] - ends[0], axis=1)
+    moved: np.ndarray = np.linalg.norm(ends[1] - ends[0], axis=1)
+    return moved
 
 
-def _least_step(xy, of, tracks) -> np.ndarray:
+def _least_step(xy: np.ndarray, of: np.ndarray, tracks: int) -> np.ndarray:
     """Return the shortest step of every track, pixels (P,)."""
     least = np.full(tracks, np.inf)
     within = of[1:] == of[:-1]
@@ -211,7 +214,8 @@ def _least_step(xy, of, tracks) -> np.ndarray:
     return least
 
 
-def _way(moved, mover, begin, end, steps) -> np.ndarray:
+def _way(moved: np.ndarray, mover: np.ndarray, begin: np.ndarray, end: np.ndarray, steps: int,
+         ) -> np.ndarray:
     """Return how far the faster moving tracks go in every step, pixels (steps,)."""
     # the middles of the halves are half of a track apart, but of two positions
     speed = np.where(end - begin < 2, 1, 2) * moved / np.maximum(end - begin, 1)
@@ -223,14 +227,14 @@ def _way(moved, mover, begin, end, steps) -> np.ndarray:
     return way
 
 
-def _present(which, begin, end, steps) -> np.ndarray:
+def _present(which: np.ndarray, begin: np.ndarray, end: np.ndarray, steps: int) -> np.ndarray:
     """Count the tracks that span every step, (steps,)."""
     change = np.bincount(begin[which], minlength=steps + 1).astype(int)
     change -= np.bincount(end[which], minlength=steps + 1)
     return np.cumsum(change)[:steps]
 
 
-def _is_spread(places, xy, size) -> bool:
+def _is_spread(places: np.ndarray, xy: np.ndarray, size: tuple[int, int] | None) -> bool:
     """Tell whether places (P, 2) lie in most quarters of the image."""
     middle = np.array(size) / 2 if size is not None else (xy.min(axis=0) + xy.max(axis=0)) / 2
     quarter = (places > middle) @ [1, 2]

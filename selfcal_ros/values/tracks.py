@@ -53,10 +53,11 @@ def of_longest(view: np.ndarray, point: np.ndarray, per_view: int) -> np.ndarray
     rank = np.arange(len(order)) - np.searchsorted(ordered, ordered)
     chosen = np.zeros(int(point.max(initial=-1)) + 1, dtype=bool)
     chosen[point[order[rank < per_view]]] = True
-    return chosen[point]
+    longest: np.ndarray = chosen[point]
+    return longest
 
 
-def _size(size) -> tuple[int, int]:
+def _size(size: Iterable[float]) -> tuple[int, int]:
     """Return width and height; InputError where they are none."""
     try:
         width, height = (int(side) for side in size)
@@ -205,7 +206,8 @@ class Tracks:
         x, y = (self.xy - np.column_stack([mean(axis) for axis in self.xy.T])[view]).T
         along, across, both = mean(x * x), mean(y * y), mean(x * y)
         least = (along + across) / 2 - np.hypot((along - across) / 2, both)
-        return np.sqrt(np.maximum(least, 0))
+        narrowest: np.ndarray = np.sqrt(np.maximum(least, 0))
+        return narrowest
 
     def longest(self, per_view: int) -> Tracks:
         """Keep the longest tracks, so many in every view; whole, wherever they are seen."""

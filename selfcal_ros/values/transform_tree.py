@@ -51,7 +51,8 @@ class _Edge:
         poses = np.array([self.matrices[one] for one in known.tolist()])
         found = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4)).copy()
         if not self.moves:
-            return found @ poses[-1]
+            pose: np.ndarray = found @ poses[-1]
+            return pose
         # differences of nanoseconds are exact, sums of them in floating point are not
         time, wanted = known - known[0], stamps_ns - known[0]
         found[:, :3, :3] = Slerp(time, Rotation.from_matrix(poses[:, :3, :3]))(wanted).as_matrix()

@@ -56,7 +56,7 @@ class Conic:
     axis_v: np.ndarray
     name: str = ''
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check and freeze."""
         for key in ('centre', 'axis_u', 'axis_v'):
             object.__setattr__(self, key, _vector(getattr(self, key), f'{key} of a conic'))
@@ -67,13 +67,16 @@ class Conic:
     def points(self, angles: np.ndarray) -> np.ndarray:
         """Points (..., 3) at parameters (...) in radians."""
         angles = np.asarray(angles, float)[..., None]
-        return self.centre + np.cos(angles) * self.axis_u + np.sin(angles) * self.axis_v
+        points: np.ndarray = (self.centre + np.cos(angles) * self.axis_u
+                              + np.sin(angles) * self.axis_v)
+        return points
 
     def tangents(self, angles: np.ndarray) -> np.ndarray:
         """Return unit tangents of shape (..., 3) at angles of shape (...) in radians."""
         angles = np.asarray(angles, float)[..., None]
         tangent = np.cos(angles) * self.axis_v - np.sin(angles) * self.axis_u
-        return tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+        unit: np.ndarray = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
+        return unit
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class Cylinder:
     name: str = ''
     min_length_px: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check and freeze."""
         for key in ('start', 'end'):
             object.__setattr__(self, key, _vector(getattr(self, key), f'{key} of a cylinder'))
@@ -125,15 +128,15 @@ class Polygon:
 
     """
 
-    indices: tuple
+    indices: tuple[int, ...]
     name: str = ''
     min_area_px2: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Freeze the indices."""
         object.__setattr__(self, 'indices', tuple(int(i) for i in self.indices))
 
-    def borders(self) -> list:
+    def borders(self) -> list[tuple[int, int]]:
         """Pairs of vertices that bound the face, in order."""
         return list(zip(self.indices, self.indices[1:] + self.indices[:1]))
 
@@ -169,10 +172,10 @@ class WireframeModel:
 
     vertices: np.ndarray
     lines: np.ndarray = ()                   # type: ignore[assignment]
-    faces: tuple = ()
-    conics: tuple = ()
-    cylinders: tuple = ()
-    line_names: tuple = ()
+    faces: tuple[Polygon, ...] = ()
+    conics: tuple[Conic, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+    line_names: tuple[str, ...] = ()
     line_min_length_px: np.ndarray = ()      # type: ignore[assignment]
     name: str = ''
     remarks: tuple[str, ...] = ()
@@ -180,7 +183,7 @@ class WireframeModel:
     triangles: np.ndarray = field(init=False, repr=False, compare=False)
     triangle_face: np.ndarray = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check and freeze."""
         vertices = np.array(self.vertices, dtype=float).reshape(-1, 3)
         lines = np.array(self.lines, dtype=int).reshape(-1, 2)
@@ -237,7 +240,7 @@ class WireframeModel:
         return cls(vertices, np.array(lines, int), tuple(faces), line_names=tuple(names),
                    line_min_length_px=np.array(lengths), **other)
 
-    def _cut_faces(self):
+    def _cut_faces(self) -> None:
         """Cut the faces into triangles: (T, 3) vertices, and the face of each."""
         _check_faces(self.vertices, self.faces)
         triangles, owner = [np.zeros((0, 3), int)], [np.zeros(0, int)]
@@ -252,7 +255,7 @@ class WireframeModel:
         object.__setattr__(self, 'triangle_face', np.concatenate(owner))
 
     @cached_property
-    def line_faces(self) -> tuple:
+    def line_faces(self) -> tuple[tuple[int, ...], ...]:
         """For each line the faces that it bounds: a tuple of none, one, two or more indices."""
         same = self._same
         borders = {frozenset(pair): sides
@@ -265,10 +268,11 @@ class WireframeModel:
 
     def same(self, vertex: int) -> np.ndarray:
         """Which vertices lie where this one does, (V,) bool."""
-        return self._same == self._same[vertex]
+        same: np.ndarray = self._same == self._same[vertex]
+        return same
 
     @cached_property
-    def _same(self):
+    def _same(self) -> np.ndarray:
         return same_place(self.vertices)
 
     @property
@@ -281,7 +285,8 @@ class WireframeModel:
         """Unit normals (F, 3), by the order of the corners."""
         normals = np.array([newell_normal(self.vertices[list(face.indices)])
                             for face in self.faces]).reshape(-1, 3)
-        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        unit: np.ndarray = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return unit
 
     @cached_property
     def extent(self) -> np.ndarray:
@@ -298,7 +303,8 @@ class WireframeModel:
     @cached_property
     def centre(self) -> np.ndarray:
         """Middle of the bounding box, (3,) metres."""
-        return 0.5 * (self.extent.min(axis=0) + self.extent.max(axis=0))
+        middle: np.ndarray = 0.5 * (self.extent.min(axis=0) + self.extent.max(axis=0))
+        return middle
 
     @cached_property
     def diameter_m(self) -> float:
@@ -322,7 +328,8 @@ class WireframeModel:
 
     def edges(self) -> np.ndarray:
         """End points of the lines, (L, 2, 3) metres."""
-        return self.vertices[self.lines]
+        ends: np.ndarray = self.vertices[self.lines]
+        return ends
 
 
 def across_axes(cylinder: Cylinder) -> tuple[np.ndarray, np.ndarray]:
@@ -334,7 +341,7 @@ def across_axes(cylinder: Cylinder) -> tuple[np.ndarray, np.ndarray]:
     return u, np.cross(axis, u)
 
 
-def _check_faces(vertices, faces):
+def _check_faces(vertices: np.ndarray, faces: Sequence[Polygon]) -> None:
     """Raise ArgumentError on faces that name no vertex, one twice, or too many."""
     for k, face in enumerate(faces):
         indices = face.indices
@@ -348,7 +355,8 @@ def _check_faces(vertices, faces):
             raise ArgumentError(f'Face {k} names a point twice.')
 
 
-def _borders(vertices, faces, same) -> dict:
+def _borders(vertices: np.ndarray, faces: Sequence[Polygon], same: np.ndarray,
+             ) -> dict[tuple[int, int], list[int]]:
     """Faces on each border, by (vertex, vertex) as first met."""
     borders: dict[tuple[int, int], list[int]] = {}
     key: dict[frozenset[int], tuple[int, int]] = {}
@@ -361,7 +369,8 @@ def _borders(vertices, faces, same) -> dict:
     return borders
 
 
-def _into(vertices, face, line, same):
+def _into(vertices: np.ndarray, face: Polygon, line: Sequence[int] | np.ndarray, same: np.ndarray,
+          ) -> np.ndarray:
     """Direction from a border of a face to its inside, (3,), unit."""
     a, b = same[list(line)]
     indices = same[list(face.indices)]
@@ -369,18 +378,20 @@ def _into(vertices, face, line, same):
     along = vertices[b] - vertices[a] if forward else vertices[a] - vertices[b]
     into = np.cross(newell_normal(vertices[list(face.indices)]), along)
     # a face without area is refused later on
-    return into / max(np.linalg.norm(into), 1e-300)
+    unit: np.ndarray = into / max(np.linalg.norm(into), 1e-300)
+    return unit
 
 
-def _is_flat(vertices, faces, line, sides, same):
+def _is_flat(vertices: np.ndarray, faces: Sequence[Polygon], line: tuple[int, int],
+             sides: list[int], same: np.ndarray) -> bool:
     """Whether an edge lies between two faces that go on from each other in one plane."""
     if len(sides) != 2:
         return False
     first, second = (_into(vertices, faces[k], line, same) for k in sides)
-    return np.linalg.norm(first + second) < FLAT_RAD
+    return bool(np.linalg.norm(first + second) < FLAT_RAD)
 
 
-def _vector(value, what):
+def _vector(value: ArrayLike, what: str) -> np.ndarray:
     """Three finite numbers, frozen."""
     vector = np.array(value, dtype=float).ravel()
     if vector.shape != (3,) or not (np.abs(vector) < LARGEST_M).all():
