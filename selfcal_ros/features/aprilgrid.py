@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import cv2
@@ -32,6 +33,9 @@ BORDER_BITS = (2, 1)
 _INNER_BITS = 6
 #: Most corners lie within this share of a tag's side of one homography, in wide lenses, too.
 MISFIT = 1.0
+
+#: Finds tags (n,) and their corners (n, 4, 2) in a grey image.
+_Detect = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,9 @@ class AprilGrid:
     rows: int
     tag_m: float
     spacing: float
-    _detectors: list = field(default_factory=list, repr=False, compare=False)
+    _detectors: list[tuple[int, _Detect]] = field(default_factory=list, repr=False, compare=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible grids, and prepare the possible ones."""
         if self.columns * self.rows < 2 or self.columns * self.rows > TAGS:
             raise ArgumentError(f'An AprilGrid has 2 to {TAGS} tags, not {self.columns} x '
@@ -93,7 +97,7 @@ class AprilGrid:
         corners: np.ndarray = first[:, None] + square
         return corners
 
-    def find(self, image: np.ndarray, thorough: bool = True):
+    def find(self, image: np.ndarray, thorough: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """
         Find corners of tags in a grey image; a part of the grid suffices.
 
@@ -166,7 +170,7 @@ def _off(flat: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(off), off, np.inf)
 
 
-def _detector(border_bits: int):
+def _detector(border_bits: int) -> _Detect:
     """Return a function image → (tags (n,), corners (n, 4, 2)) for tags of such a border."""
     if not hasattr(getattr(cv2, 'aruco', None), 'DICT_APRILTAG_36h11'):
         raise InputError(f'This OpenCV ({cv2.__version__}) comes without AprilTags; install '
@@ -178,11 +182,14 @@ def _detector(border_bits: int):
     parameters.markerBorderBits = border_bits
     new = hasattr(aruco, 'ArucoDetector') and aruco.ArucoDetector(markers, parameters)
 
-    def find(image):
+    def find(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if min(image.shape[:2]) < 8:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
-        corners, tags, _ = new.detectMarkers(image) if new else aruco.detectMarkers(
-            image, markers, parameters=parameters)
+        if new:
+            corners, tags, _ = new.detectMarkers(image)
+        else:
+            corners, tags, _ = aruco.detectMarkers(     # type: ignore[attr-defined]
+                image, markers, parameters=parameters)
         if tags is None or not len(tags):
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         return (np.asarray(tags).ravel().astype(np.int64),

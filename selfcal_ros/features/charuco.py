@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import cv2
@@ -33,6 +34,9 @@ DICTIONARIES = ('DICT_4X4_1000', 'DICT_5X5_1000', 'DICT_6X6_1000', 'DICT_7X7_100
 #: Smoothing before corners are located, as a share of what is clear around them, and at most,
 #: pixels: corners then scatter by a seventh to a half less. More mixes in the markers' edges.
 SMOOTHING_SHARE, MOST_SMOOTHING_PX = 0.28, 1.0
+
+#: Finds identities (n,) and places (n, 2) of corners in a grey image.
+_Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,9 @@ class Charuco:
     square_m: float
     marker_m: float
     dictionary: str = ''
-    _boards: list = field(default_factory=list, repr=False, compare=False)
+    _boards: list[_Find] = field(default_factory=list, repr=False, compare=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible boards, and prepare the possible ones."""
         if min(self.columns, self.rows) < 2:
             raise ArgumentError('A ChArUco board needs at least 2 x 2 inner corners (one less '
@@ -74,7 +78,8 @@ class Charuco:
             raise ArgumentError('The markers of a ChArUco board must be smaller than its '
                                 f'squares: {self.marker_m:g} m is not below {self.square_m:g} m.')
         aruco = getattr(cv2, 'aruco', None)
-        if not (hasattr(aruco, 'CharucoDetector') or hasattr(aruco, 'interpolateCornersCharuco')):
+        if aruco is None or not (hasattr(aruco, 'CharucoDetector')
+                                 or hasattr(aruco, 'interpolateCornersCharuco')):
             raise InputError(f'This OpenCV ({cv2.__version__}) comes without ChArUco boards; '
                              'install opencv-python-headless 4.7 or later, or use a chessboard.')
         if self.dictionary and not (self.dictionary.startswith('DICT_')
@@ -99,7 +104,7 @@ class Charuco:
         return KnownObject(np.arange(self.columns * self.rows),
                            plane(self.columns, self.rows, self.square_m))
 
-    def find(self, image: np.ndarray, thorough: bool = True):
+    def find(self, image: np.ndarray, thorough: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Find corners as `Chessboard.find` does; a part of the board suffices."""
         best = nothing()
         for finder in list(self._boards):
@@ -124,22 +129,24 @@ class Charuco:
         return 0.45 * (1 - self.marker_m / self.square_m) * spacing
 
 
-def _charuco_boards(board: Charuco, markers) -> list:
+def _charuco_boards(board: Charuco, markers: cv2.aruco.Dictionary) -> list[_Find]:
     """Return functions image → (identity, xy), one for each way such a board was ever drawn."""
     aruco, squares = cv2.aruco, (board.columns + 1, board.rows + 1)
     if not hasattr(aruco, 'CharucoDetector'):
         make = aruco.CharucoBoard_create                # type: ignore[attr-defined]
         old = make(*squares, board.square_m, board.marker_m, markers)
 
-        def find_old(image):
-            corners, ids, _ = aruco.detectMarkers(image, markers)
+        def find_old(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            corners, ids, _ = aruco.detectMarkers(        # type: ignore[attr-defined]
+                image, markers)
             if ids is None or len(ids) < 2:
                 return nothing()
-            _, xy, identity = aruco.interpolateCornersCharuco(corners, ids, image, old)
+            _, xy, identity = aruco.interpolateCornersCharuco(     # type: ignore[attr-defined]
+                corners, ids, image, old)
             return _found(identity, xy)
 
         return [find_old]
-    finders = []
+    finders: list[_Find] = []
     # boards with an even number of rows began with a white square before OpenCV 4.6
     for legacy in (False, True) if squares[1] % 2 == 0 else (False,):
         new = aruco.CharucoBoard(squares, board.square_m, board.marker_m, markers)
@@ -149,7 +156,9 @@ def _charuco_boards(board: Charuco, markers) -> list:
             new.setLegacyPattern(True)
         detector = aruco.CharucoDetector(new)
 
-        def find_new(image, detector=detector):
+        def find_new(image: np.ndarray,
+                     detector: cv2.aruco.CharucoDetector = detector,
+                     ) -> tuple[np.ndarray, np.ndarray]:
             xy, identity, _, _ = detector.detectBoard(image)
             return _found(identity, xy)
 
@@ -164,7 +173,7 @@ def _smoothed(image: np.ndarray, clear_px: float) -> np.ndarray:
     return cv2.GaussianBlur(image, (0, 0), sigma_px) if clear_px >= 2 else image
 
 
-def _found(identity, xy):
+def _found(identity: np.ndarray | None, xy: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     if identity is None or xy is None or len(identity) < 4:
         return nothing()
     return (np.asarray(identity).ravel().astype(np.int64),

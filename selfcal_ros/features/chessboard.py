@@ -59,7 +59,7 @@ class Chessboard:
     rows: int
     square_m: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible boards."""
         if min(self.columns, self.rows) < 3:
             raise ArgumentError('A chessboard needs at least 3 x 3 inner corners (one less than '
@@ -71,7 +71,7 @@ class Chessboard:
         return KnownObject(np.arange(self.columns * self.rows),
                            plane(self.columns, self.rows, self.square_m))
 
-    def find(self, image: np.ndarray, thorough: bool = True):
+    def find(self, image: np.ndarray, thorough: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """
         Find all corners in a grey image.
 
@@ -137,7 +137,7 @@ class Chessboard:
                 return (xy + 0.5) * real - 0.5
         return None
 
-    def _checked(self, found: bool, corners) -> np.ndarray | None:
+    def _checked(self, found: bool, corners: np.ndarray | None) -> np.ndarray | None:
         """Return the corners (P, 2) of a board that was found whole."""
         if not found or corners is None or len(corners) != self.columns * self.rows:
             return None

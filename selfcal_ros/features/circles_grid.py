@@ -59,7 +59,7 @@ class CirclesGrid:
     spacing_m: float
     staggered: bool
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible grids."""
         if min(self.columns, self.rows) < 3:
             raise ArgumentError('A grid of circles has at least 3 x 3 of them, '
@@ -73,7 +73,7 @@ class CirclesGrid:
         return KnownObject(np.arange(len(row)), self.spacing_m * np.column_stack(
             [x, row, np.zeros(len(row))]))
 
-    def find(self, image: np.ndarray, thorough: bool = True):
+    def find(self, image: np.ndarray, thorough: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """
         Find the centres of all circles in a grey image.
 
@@ -110,13 +110,15 @@ class CirclesGrid:
         return np.arange(len(xy)), xy - _eccentricity(flat, xy, area)
 
 
-def _blobs(pixels: int):
+def _blobs(pixels: int) -> cv2.SimpleBlobDetector:
     """Return a detector of dark blobs of any size that circles may have."""
     parameters = cv2.SimpleBlobDetector_Params()        # type: ignore[attr-defined]
     parameters.minArea, parameters.maxArea = 12, LARGEST_BLOB * pixels
     parameters.minDistBetweenBlobs = 3
     parameters.filterByConvexity = parameters.filterByInertia = False
-    return cv2.SimpleBlobDetector_create(parameters)    # type: ignore[attr-defined]
+    detector: cv2.SimpleBlobDetector = (
+        cv2.SimpleBlobDetector_create(parameters))      # type: ignore[attr-defined]
+    return detector
 
 
 def _measured(image: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -187,11 +189,11 @@ def _eccentricity(flat: np.ndarray, xy: np.ndarray, area: np.ndarray) -> np.ndar
         return np.zeros_like(xy)
     centre, scale = xy.mean(axis=0), max(float(xy.std()), 1.0)
 
-    def terms(p):
+    def terms(p: np.ndarray) -> np.ndarray:
         x, y = ((p - centre) / scale).T
         return np.column_stack([x**i * y**k for i in range(4) for k in range(4 - i)])
 
-    def by_homography(p):
+    def by_homography(p: np.ndarray) -> np.ndarray:
         x = np.column_stack([p, np.ones(len(p))]) @ H.T
         return x[:, :2] / x[:, 2:]
 
@@ -200,13 +202,14 @@ def _eccentricity(flat: np.ndarray, xy: np.ndarray, area: np.ndarray) -> np.ndar
         start = by_homography(flat)
         rest = np.linalg.lstsq(terms(start), xy - start, rcond=None)[0]
 
-    def mapped(p):
+    def mapped(p: np.ndarray) -> np.ndarray:
         pixels = by_homography(p)
         return pixels + terms(pixels) @ rest
 
-    def magnified(p, step=1e-3):
+    def magnified(p: np.ndarray, step: float = 1e-3) -> np.ndarray:
         x, y = ((mapped(p + d) - mapped(p - d)) / (2 * step) for d in step * np.eye(2))
-        return np.abs(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0])
+        area: np.ndarray = np.abs(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0])
+        return area
 
     radius = float(np.sqrt(np.median(area / magnified(flat)) / np.pi))
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS

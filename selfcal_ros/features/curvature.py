@@ -211,7 +211,7 @@ def _nearest_known(geometry: EpipolarGeometry, image: np.ndarray, order: np.ndar
                    at: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Of each track the view nearest to the reference whose geometry with another is known."""
     side, here = np.sign(steps[at]), image[order[at]]
-    before = order[at - side]
+    before: np.ndarray = order[at - side]
     for back in range(2, int(np.abs(steps[at]).max()) + 1):
         farther = order[at - back * side]
         before = np.where(geometry.number[image[farther], here] >= 0, farther, before)
@@ -249,5 +249,6 @@ def feigned_shift(response: np.ndarray, affine: np.ndarray, second: np.ndarray,
     """
     back = np.linalg.inv(affine) @ second
     shift = np.einsum('nij,nj->ni', response, back.reshape(-1, 6))
-    off: np.ndarray = np.einsum('nij,nj->ni', affine, shift)
-    return off * np.reshape(np.square(scale), (-1, 1))
+    off: np.ndarray = (np.einsum('nij,nj->ni', affine, shift)
+                       * np.reshape(np.square(scale), (-1, 1)))
+    return off

@@ -62,7 +62,7 @@ class Features:
     size_px: np.ndarray
     sift: np.ndarray
     second: np.ndarray
-    twins: tuple = ()
+    twins: tuple[np.ndarray, ...] = ()
 
     def described(self) -> Described:
         """Return what the places look like, ready to be compared."""

@@ -22,6 +22,7 @@ It serves verification alone; calibration estimates its own distortion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -42,6 +43,9 @@ _ATTEMPTS, _CLEAR = 4, 0.9
 #: Pairs that are polished together, and matches of each that are enough for it: with so many F
 #: is known to a fraction of the bands that it is used for.
 _AT_ONCE, _AT_ONCE_BENT, _WITNESSES = 32, 8, 500
+
+#: Matches of a pair of images in pixels, (N, 2) twice.
+Pair = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class EpipolarImages:
                               np.random.default_rng(seed))
         return None if found is None else found[0]
 
-    def fit_each(self, pairs: list, threshold_px: float, seed: int,
+    def fit_each(self, pairs: Sequence[Pair], threshold_px: float, seed: int,
                  pool: Executor) -> list[np.ndarray | None]:
         """Fit F to each of several pairs [(xy_a (N, 2), xy_b), ...]; the pool shares the work."""
         if not self.model.straight:
@@ -84,17 +88,17 @@ class EpipolarImages:
                               pairs))
         return _polished(found, pairs, threshold_px)
 
-    def refit_each(self, found: list, pairs: list, threshold_px: float, seed: int,
-                   pool: Executor) -> list[np.ndarray | None]:
+    def refit_each(self, found: list[np.ndarray | None], pairs: Sequence[Pair],
+                   threshold_px: float, seed: int, pool: Executor) -> list[np.ndarray | None]:
         """As `fit_each`, for matches that were found near F already."""
         if not self.model.straight:
             return self._polished_bent(found, pairs, threshold_px, pool)
         return _polished(_polished(found, pairs, 2 * threshold_px), pairs, threshold_px)
 
-    def _polished_bent(self, found: list, pairs: list, threshold_px: float,
-                       pool: Executor) -> list[np.ndarray | None]:
+    def _polished_bent(self, found: list[np.ndarray | None], pairs: Sequence[Pair],
+                       threshold_px: float, pool: Executor) -> list[np.ndarray | None]:
         """Bring each F for lifted points to the optimum of its inliers."""
-        def polished(begin: int):
+        def polished(begin: int) -> list[np.ndarray | None]:
             some = slice(begin, begin + _AT_ONCE_BENT)
             witnesses = [(self.model.units(a[::len(a) // _WITNESSES + 1]),
                           self.model.units(b[::len(b) // _WITNESSES + 1]))
@@ -110,8 +114,9 @@ class EpipolarImages:
         if not self.model.straight:
             return F
         back = np.linalg.inv(self.model.to_units)
-        of_units: np.ndarray = back.T @ F @ back
-        return of_units / np.linalg.norm(of_units)
+        of_units = back.T @ F @ back
+        unit: np.ndarray = of_units / np.linalg.norm(of_units)
+        return unit
 
     def distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
         """Signed first-order distance (N,) of matches (N, 2), pixels."""
@@ -125,7 +130,8 @@ class EpipolarImages:
             line = np.column_stack([xy_a, np.ones(len(xy_a))]) @ F.T
             unit: np.ndarray = line / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
             return unit
-        return self.model.lifted(xy_a) @ F.T
+        curves: np.ndarray = self.model.lifted(xy_a) @ F.T
+        return curves
 
     def raised(self, xy: np.ndarray) -> np.ndarray:
         """Return what `off_curve` asks of pixels (m, 2), once for many curves: (k, m)."""
@@ -198,7 +204,8 @@ def _sampled_F(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float, iteratio
     return best
 
 
-def _polished(found: list, pairs: list, threshold_px: float) -> list[np.ndarray | None]:
+def _polished(found: list[np.ndarray | None], pairs: Sequence[Pair], threshold_px: float,
+              ) -> list[np.ndarray | None]:
     """Bring each F to the optimum of its inliers: some releases of OpenCV stop well before it."""
     near, polished = [], list(found)
     for F, (xy_a, xy_b) in zip(found, pairs):
@@ -219,8 +226,8 @@ def _polished(found: list, pairs: list, threshold_px: float) -> list[np.ndarray 
     return polished
 
 
-def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.0,
-                    seed: int = 0) -> DivisionModel:
+def choose_division(pairs: Sequence[Pair], image_size: tuple[int, int],
+                    threshold_px: float = 1.0, seed: int = 0) -> DivisionModel:
     """
     Find the lens with which matches obey epipolar geometry best.
 

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -44,6 +45,10 @@ _PROBE_FRAMES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
+#: Index of a frame, its grey image (H, W), and its stamp in nanoseconds.
+Frame = tuple[int, np.ndarray, int]
+#: What hears of the work: its text, and the number of frames or the share that is done.
+Progress = Callable[[str, float], object]
 
 
 @dataclass(frozen=True)
@@ -75,8 +80,8 @@ class Extraction:
         return sentences(self.findings)
 
 
-def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int = 40,
-                   rng: np.random.Generator | None = None,
+def extract_tracks(frames: Iterable[Frame], mode: str = 'auto', progress: Progress | None = None,
+                   max_keyframes: int = 40, rng: np.random.Generator | None = None,
                    mask: ImageMask | None = None) -> Extraction:
     """
     Find point tracks in a sequence of images.
@@ -138,7 +143,7 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     return Extraction(tracks, keyframes, 'wide', tuple(found))
 
 
-def _checked(frames, mask: ImageMask | None):
+def _checked(frames: Iterable[Frame], mask: ImageMask | None) -> Iterator[Frame]:
     """Pass images on, and stop at the first that cannot be used."""
     size = None
     for index, grey, stamp_ns in frames:
@@ -159,7 +164,7 @@ def _checked(frames, mask: ImageMask | None):
         yield int(index), grey, int(stamp_ns)
 
 
-def _choose_mode(images, mask):
+def _choose_mode(images: list[np.ndarray], mask: ImageMask | None) -> tuple[str, Finding]:
     """Video where corners survive there and back and move little, otherwise wide."""
     if len(images) < _PROBE_FRAMES:
         return 'wide', Finding('few_images', images=len(images))
@@ -194,7 +199,7 @@ class _Album:
             self.stride *= 2
             self.indices, self.images = self.indices[::2], self.images[::2]
 
-    def fill(self, frames) -> None:
+    def fill(self, frames: Iterable[Frame]) -> None:
         """Take all images."""
         for frame in frames:
             self.add(*frame)
@@ -204,7 +209,8 @@ class _Album:
         self.indices, self.images, self.stamps = [], [], {}
 
 
-def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], mask):
+def _wide(album: _Album, report: Progress, max_keyframes: int, seed: int, findings: list[Finding],
+          mask: ImageMask | None) -> tuple[Tracks, np.ndarray]:
     """Match descriptors between neighbours, loop closures and look-alikes."""
     indices, stamps, images, stride = album.indices, album.stamps, album.images, album.stride
     features: list[Features] = []
@@ -248,8 +254,9 @@ def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], m
     return finish_tracks(tracks, findings, seed), keyframes
 
 
-def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
-           album: _Album | None = None):
+def _video(frames: Iterable[Frame], report: Progress, max_keyframes: int, seed: int,
+           findings: list[Finding], mask: ImageMask | None, album: _Album | None = None,
+           ) -> tuple[Tracks, np.ndarray]:
     """
     Follow corners, keep keyframes; where there are too many, ask for more parallax.
 

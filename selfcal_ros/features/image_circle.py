@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -65,7 +66,7 @@ class ImageCircle:
         return ImageMask(np.hypot(x - self.x_px, y - self.y_px) <= within, 'The image circle')
 
 
-def find_circle(images) -> ImageCircle | None:
+def find_circle(images: Sequence[np.ndarray]) -> ImageCircle | None:
     """
     Find the circle beyond which all images are black.
 
@@ -99,7 +100,8 @@ def find_circle(images) -> ImageCircle | None:
     return ImageCircle(float(x), float(y), float(scale * circle[2]))
 
 
-def within_circle(images, mask: ImageMask | None) -> tuple[ImageMask | None, list[Finding]]:
+def within_circle(images: Sequence[np.ndarray], mask: ImageMask | None,
+                  ) -> tuple[ImageMask | None, list[Finding]]:
     """
     Narrow a mask to the circle of the images, where they have one.
 
@@ -139,7 +141,8 @@ class CircleWatch:
         self._seen: list[np.ndarray] = []
         self._shape: tuple[int, ...] = ()
         self._circle: ImageMask | None = None
-        self._narrowed: tuple = (None, None)
+        self._narrowed: tuple[ImageMask | None, ImageMask | None, ImageMask | None] = (
+            None, None, None)
 
     def see(self, image: np.ndarray) -> Finding | None:
         """
@@ -178,7 +181,7 @@ class CircleWatch:
         return self._narrowed[2]
 
 
-def _small(image, scale):
+def _small(image: np.ndarray, scale: float) -> np.ndarray:
     """Shrink an image, and take away single bright pixels."""
     if scale > 1:
         size = tuple(int(round(side / scale)) for side in image.shape[::-1])
@@ -186,7 +189,7 @@ def _small(image, scale):
     return cv2.medianBlur(image, 5)
 
 
-def _levels(brightest):
+def _levels(brightest: np.ndarray) -> tuple[float, float]:
     """Return the levels of the darker corners and of the scene."""
     side = max(4, min(brightest.shape) // 40)
     corners = sorted(float(np.median(brightest[rows, columns]))
@@ -196,7 +199,7 @@ def _levels(brightest):
     return corners[2], float(np.percentile(brightest, 75))
 
 
-def _rough_circle(lit):
+def _rough_circle(lit: np.ndarray) -> np.ndarray | None:
     """Fit a circle to the outline of the largest lit part; None if few of its points fit one."""
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(lit.astype(np.uint8))
     if count < 2:
@@ -213,7 +216,7 @@ def _rough_circle(lit):
     return circle if share > 0.25 else None
 
 
-def _consensus(points, tolerance_px):
+def _consensus(points: np.ndarray, tolerance_px: float) -> tuple[np.ndarray | None, float]:
     """Return the circle (x, y, r) on which most of some points (N, 2) lie, and their share."""
     # triples spread over the outline take the place of chance
     some = points[np.linspace(0, len(points) - 1, 22).astype(int)]
@@ -235,7 +238,7 @@ def _consensus(points, tolerance_px):
     return circles[best], float(fitting[best])
 
 
-def _rim(brightest, circle, black, bright):
+def _rim(brightest: np.ndarray, circle: np.ndarray, black: float, bright: float) -> np.ndarray:
     """
     Measure along rays around a circle where hardly any light is left, shape (N, 2).
 
@@ -262,10 +265,12 @@ def _rim(brightest, circle, black, bright):
     last, row = last[measured], np.flatnonzero(measured)
     upper, lower = profile[row, last], profile[row, last + 1]
     crossing = radius[last] + (upper - level[row]) / np.maximum(upper - lower, 1e-6)
-    return circle[:2] + crossing[:, None] * ray[row]
+    rim: np.ndarray = circle[:2] + crossing[:, None] * ray[row]
+    return rim
 
 
-def _refined(brightest, circle, black, bright):
+def _refined(brightest: np.ndarray, circle: np.ndarray, black: float, bright: float,
+             ) -> np.ndarray | None:
     """Fit a circle to the rim, twice, since the first sets the rays; None without a rim."""
     # loaded by the few that need it
     from scipy.optimize import least_squares
@@ -274,16 +279,17 @@ def _refined(brightest, circle, black, bright):
         if len(xy) < 0.15 * _RAYS:
             return None
         # where the scene is dark at the rim the light ends early: many points lie within
-        circle, _ = _consensus(xy, 2.0)
-        if circle is None:
+        fitted, _ = _consensus(xy, 2.0)
+        if fitted is None:
             return None
-        near = xy[np.abs(np.linalg.norm(xy - circle[:2], axis=1) - circle[2]) < 4.0]
-        circle = least_squares(lambda c: np.linalg.norm(near - c[:2], axis=1) - c[2], circle,
+        near = xy[np.abs(np.linalg.norm(xy - fitted[:2], axis=1) - fitted[2]) < 4.0]
+        circle = least_squares(lambda c: np.linalg.norm(near - c[:2], axis=1) - c[2], fitted,
                                loss='soft_l1', f_scale=0.5).x
     return circle
 
 
-def _is_clear(images, brightest, circle, black, bright) -> bool:
+def _is_clear(images: Sequence[np.ndarray], brightest: np.ndarray, circle: np.ndarray,
+              black: float, bright: float) -> bool:
     """Tell whether this is the circle of a lens, and no chance."""
     height, width = brightest.shape
     y, x = np.ogrid[:height, :width]

@@ -131,7 +131,8 @@ def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: fl
     return there, followed
 
 
-def followed_share(before: np.ndarray, after: np.ndarray, mask: ImageMask | None = None):
+def followed_share(before: np.ndarray, after: np.ndarray, mask: ImageMask | None = None,
+                   ) -> tuple[float, float]:
     """Share of corners that can be followed between two images, and their median step in px."""
     xy = corners(before, max(16, int(np.sqrt(before.size / 500))), mask=mask)
     there, followed = flow(before, after, xy, 0.5)
@@ -246,8 +247,9 @@ class KltTracker:
         self._grey = grey
         return self._ids.copy(), self._xy.copy()
 
-    def _follow(self, grey, smooth):
+    def _follow(self, grey: np.ndarray, smooth: DoubledImage) -> None:
         """Predict by optical flow, then register the first appearance."""
+        assert self._grey is not None and self._templates is not None
         there, followed = flow(self._grey, grey, self._xy)
         self._keep(followed)
         there = there[followed]
@@ -274,28 +276,31 @@ class KltTracker:
     def renew(self) -> None:
         """Take templates anew where they are seen at another scale: their detail is not there."""
         size = np.sqrt(np.abs(np.linalg.det(self._affine)))
-        self._anchor(np.flatnonzero((size < 0.6) | (size > 1.6)), self._smooth)
+        if self._smooth is not None:
+            self._anchor(np.flatnonzero((size < 0.6) | (size > 1.6)), self._smooth)
 
-    def _keep(self, mask):
+    def _keep(self, mask: np.ndarray) -> None:
         """Drop the tracks where mask is false."""
         if mask.all():
             return
+        assert self._templates is not None
         self._ids, self._xy = self._ids[mask], self._xy[mask]
         self._affine, self._residue = self._affine[mask], self._residue[mask]
         self._anchors = self._anchors[mask]
         self._templates = self._templates.select(mask)
 
-    def _anchor(self, rows, smooth):
+    def _anchor(self, rows: np.ndarray, smooth: DoubledImage) -> None:
         """Take new templates of some tracks where they are now."""
         if not len(rows):
             return
+        assert self._templates is not None
         whole = np.round(self._xy[rows])
         self._templates.replace(rows, self._registration.templates(smooth, whole))
         self._residue[rows] = self._xy[rows] - whole
         self._anchors[rows] = self._xy[rows]
         self._affine[rows] = np.eye(2)
 
-    def _replenish(self, grey, smooth):
+    def _replenish(self, grey: np.ndarray, smooth: DoubledImage) -> None:
         """Fill empty cells with new corners."""
         cell = max(12, int(np.sqrt(grey.size / self.most)))
         self._searched_before += 1

@@ -138,8 +138,8 @@ def similarity(first: Described, some: np.ndarray, second: Described) -> np.ndar
     double = len(second.second)
     vectors = second.arranged
 
-    def best(rows):
-        product = rows @ vectors.T
+    def best(rows: np.ndarray) -> np.ndarray:
+        product: np.ndarray = rows @ vectors.T
         np.maximum(product[:, :double], product[:, second.count:], out=product[:, :double])
         return product[:, :second.count]
 

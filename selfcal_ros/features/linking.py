@@ -39,7 +39,8 @@ _LEVELS = 3
 _TEMPLATES, _HELD_BYTES = 6000, 128_000_000
 
 
-def link(features: list[Features], matches: list[ImagePairMatches]):
+def link(features: list[Features], matches: list[ImagePairMatches],
+         ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """
     Join the matches of image pairs into tracks.
 
@@ -84,7 +85,7 @@ def link(features: list[Features], matches: list[ImagePairMatches]):
     return image[node], node - offset[image[node]], track.ravel(), int(still_bad.sum())
 
 
-def _components(a, b, image):
+def _components(a: np.ndarray, b: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Component of every node, and which components hold two places of one image."""
     count = len(image)
     graph = sparse.coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(count, count))
@@ -120,8 +121,9 @@ def registered_positions(features: Sequence[Features], images: Sequence[np.ndarr
     return xy, good
 
 
-def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px: np.ndarray,
-           matches: Sequence[ImagePairMatches] = ()):
+def refine(images: Sequence[np.ndarray], image: np.ndarray, track: np.ndarray, xy: np.ndarray,
+           size_px: np.ndarray, matches: Sequence[ImagePairMatches] = (),
+           ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Register every observation against one reference view of its track.
 
@@ -211,7 +213,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     return refined, registered, sigma
 
 
-def _smoothed(images) -> tuple[Callable[[int], DoubledImage], ...]:
+def _smoothed(images: Sequence[np.ndarray]) -> tuple[Callable[[int], DoubledImage], ...]:
     """
     Slightly smoothed images, whole, halved and halved again; as many as there is room for.
 
@@ -227,7 +229,8 @@ def _smoothed(images) -> tuple[Callable[[int], DoubledImage], ...]:
     return tuple(partial(of_level, level) for level in range(_LEVELS))
 
 
-def _gather(smoothed: Callable[[int], DoubledImage], image, xy):
+def _gather(smoothed: Callable[[int], DoubledImage], image: np.ndarray, xy: np.ndarray,
+            ) -> Templates:
     """Templates of points that lie in different images, given image by image."""
     here, at = np.unique(image, return_index=True)
     return Templates.joined([_REGISTRATION.templates(smoothed(int(k)), part)

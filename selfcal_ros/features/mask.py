@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -133,7 +135,7 @@ class ImageMask:
         return painted
 
 
-def read_mask(path) -> ImageMask:
+def read_mask(path: str | Path) -> ImageMask:
     """
     Read a mask from an image file.
 

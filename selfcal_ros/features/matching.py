@@ -20,6 +20,7 @@ known, only features near each other's epipolar curve are, in blocks of neighbou
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -88,7 +89,7 @@ class _Gallery:
                              part.described()))
         self.twin_similarity = lru_cache(None)(lambda k: features[k].twin_similarity)
 
-    def distinctive(self, i: int, j: int):
+    def distinctive(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         """Matches a, b of two images that leave no doubt, of the largest blobs if they do."""
         sizes = len(self.features[i].xy), len(self.features[j].xy)
         for most in _COARSEST:
@@ -105,7 +106,7 @@ class _Gallery:
                             self.whole(j))
 
     def along_curves(self, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,
-                     band_px: float):
+                     band_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Places a, b that look alike and lie near each other's curve, and their similarity."""
         i, j = pair
         first, second = self.features[i], self.features[j]
@@ -131,7 +132,7 @@ class _Gallery:
         return alike_among(look, other, rows[near], columns[near])
 
 
-def _in_order(F: np.ndarray, curves: np.ndarray):
+def _in_order(F: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Epipolar curves (N, 3) turned alike, and their order about the epipole."""
     basis = np.linalg.svd(F)[0][:, :2]
     x, y = np.nan_to_num(curves @ basis).T
@@ -141,8 +142,8 @@ def _in_order(F: np.ndarray, curves: np.ndarray):
     return curves, np.argsort(np.where(turned, angle % np.pi, angle), kind='stable')
 
 
-def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, first: Described,
-                 second: Described):
+def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, first: Described, second: Described,
+                 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Mutual nearest neighbours that pass the ratio test both ways, also against their twins.
 
@@ -156,7 +157,8 @@ def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, first: Described,
     return a[good], b[good]
 
 
-def _guided(gallery: _Gallery, pair, epipolar: EpipolarImages, F, band_px: float):
+def _guided(gallery: _Gallery, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,
+            band_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Best candidates along epipolar curves: mutual, clear of the runner-up and of twins."""
     first, second = (gallery.features[k] for k in pair)
     a, b, score = gallery.along_curves(pair, epipolar, F, band_px)
@@ -206,11 +208,12 @@ def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
     distance = np.linalg.norm(xy_b - xy_a, axis=1)
     static, moving = distance < _STATIC_PX, distance > _MOVING_PX
     if static.sum() >= 5 and moving.sum() >= 20:
-        return ~static
+        moves: np.ndarray = ~static
+        return moves
     return np.ones(len(distance), bool)
 
 
-def _static(first: Features, second: Features, a, b) -> int:
+def _static(first: Features, second: Features, a: np.ndarray, b: np.ndarray) -> int:
     """Count the places that stay still between two images, where places a, b moved."""
     moved = np.linalg.norm(first.xy[a] - second.xy[b], axis=1) > _MOVING_PX
     if moved.sum() < 20 or not len(second.xy):
@@ -224,8 +227,10 @@ def _static(first: Features, second: Features, a, b) -> int:
     return still if still >= 5 else 0
 
 
-def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
-                seed: int = 0, progress=None) -> tuple[list[ImagePairMatches], DivisionModel, int]:
+def match_pairs(features: list[Features], pairs: Sequence[tuple[int, int]],
+                image_size: tuple[int, int], seed: int = 0,
+                progress: Callable[[float], object] | None = None,
+                ) -> tuple[list[ImagePairMatches], DivisionModel, int]:
     """
     Match image pairs, first the distinctive features, then all along epipolar curves.
 
@@ -265,7 +270,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         richest = sorted(range(len(pairs)), key=lambda k: -len(seeds[k][0]))
         richest = richest[len(richest) // 5:][:6]
         for k in richest:
-            static = max(static, _static(*(features[at] for at in pairs[k]), *seeds[k]))
+            static = max(static, _static(features[pairs[k][0]], features[pairs[k][1]], *seeds[k]))
         model = choose_division(
             [(features[pairs[k][0]].xy[seeds[k][0]], features[pairs[k][1]].xy[seeds[k][1]])
              for k in richest], image_size, seed=seed)
@@ -275,12 +280,13 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
     return matches, model, static
 
 
-def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: int,
-              pool: Executor, progress) -> list[ImagePairMatches]:
+def _verified(gallery: _Gallery, pairs: Sequence[tuple[int, int]],
+              seeds: Sequence[tuple[np.ndarray, np.ndarray]], epipolar: EpipolarImages, seed: int,
+              pool: Executor, progress: Callable[[float], object]) -> list[ImagePairMatches]:
     """Matches of the image pairs that agree with one F each, without those of no trustworthy F."""
     features = gallery.features
 
-    def places(k: int, a, b):
+    def places(k: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return features[pairs[k][0]].xy[a], features[pairs[k][1]].xy[b]
 
     tried = [k for k, (a, _) in enumerate(seeds) if len(a) >= 16]
@@ -292,7 +298,7 @@ def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: i
                 16, 0.25 * len(seeds[k][0])):
             found[k] = F
 
-    def guide(k: int):
+    def guide(k: int) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
         a, b = _guided(gallery, pairs[k], epipolar, found[k], 2.0)
         return (a, b), moving_part(*places(k, a, b))
 
@@ -304,7 +310,7 @@ def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: i
                                   [places(k, a[use], b[use]) for k, ((a, b), use)
                                    in guided.items()], 1.0, seed, pool)
 
-    def agreeing(k: int, F):
+    def agreeing(k: int, F: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         a, b = guided[k][0]
         if F is None:
             return a[:0], b[:0]
@@ -318,7 +324,8 @@ def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: i
             if F is not None and len(a) >= 16]
 
 
-def _near(epipolar: EpipolarImages, F: np.ndarray, places, most_px: float) -> np.ndarray:
+def _near(epipolar: EpipolarImages, F: np.ndarray, places: tuple[np.ndarray, np.ndarray],
+          most_px: float) -> np.ndarray:
     """Tell which matches lie near their epipolar curves, shape (N,) of bool."""
     near: np.ndarray = np.abs(epipolar.distance(F, *places)) < most_px
     return near

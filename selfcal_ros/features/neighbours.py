@@ -49,10 +49,11 @@ def agrees_with_neighbours(xy_a: np.ndarray, xy_b: np.ndarray, agreeing: int = 2
         to_a = to_a @ np.array([[along, across], [-across, along]])
     away = to_b - to_a
     differs = np.hypot(away[..., 0], away[..., 1])
-    return np.count_nonzero(differs < 5 + 0.4 * distance[:, 1:], axis=1) >= agreeing
+    agrees: np.ndarray = np.count_nonzero(differs < 5 + 0.4 * distance[:, 1:], axis=1) >= agreeing
+    return agrees
 
 
-def _ratios(to_a, to_b) -> tuple[np.ndarray, np.ndarray]:
+def _ratios(to_a: np.ndarray, to_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Real and imaginary part of to_b / to_a, taken as complex numbers, (..., 2) to (...)."""
     # sums of two columns: over an axis of two numbers they take several times as long
     (x, y), (u, v) = (to_a[..., 0], to_a[..., 1]), (to_b[..., 0], to_b[..., 1])

@@ -29,7 +29,8 @@ _FEW, _CANDIDATES = 60, 16
 _WORDS = 2000
 
 
-def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3):
+def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3,
+                  ) -> list[tuple[int, int]]:
     """
     Choose the image pairs worth matching.
 
@@ -71,7 +72,7 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
     return sorted(pairs)
 
 
-def _candidates(coarse: list[np.ndarray]):
+def _candidates(coarse: list[np.ndarray]) -> list[tuple[int, int]]:
     """Pairs of images (i, j), i < j, that may show the same."""
     count = len(coarse)
     if count <= _FEW:

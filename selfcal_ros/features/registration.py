@@ -120,11 +120,11 @@ class Templates:
         """Count the templates."""
         return len(self.values)
 
-    def select(self, index) -> Templates:
+    def select(self, index: np.ndarray | slice) -> Templates:
         """Keep the templates of an index or a mask."""
         return Templates(*(part[index] for part in self._parts()))
 
-    def _parts(self):
+    def _parts(self) -> tuple[np.ndarray, ...]:
         """List the arrays."""
         return (self.values, self.solver, self.blur_row, self.blur_warp, self.blur_information,
                 self.sigma, self.response)
@@ -152,16 +152,20 @@ class Templates:
         share = 1 - _BLUR_SIGNIFICANT * noise / (blur * blur * self.blur_information[index]
                                                  + 1e-12)
         blur *= np.maximum(share, 0)
-        return warp - self.blur_warp[index] * blur[:, None]
+        warps: np.ndarray = warp - self.blur_warp[index] * blur[:, None]
+        return warps
 
-    def position_sigma(self, correlation: np.ndarray, index=slice(None)) -> np.ndarray:
+    def position_sigma(self, correlation: np.ndarray, index: np.ndarray | slice = slice(None),
+                       ) -> np.ndarray:
         """
         Predict the standard deviation in pixels of registered positions.
 
         What the correlation lacks to 1 is taken as noise: two normalised patches with noise of
         standard deviation n correlate by 1 - n^2 / 2.
         """
-        return 100 * self.sigma[index] * np.sqrt(2 * np.clip(1 - correlation, 0, 1))
+        noise = np.sqrt(2 * np.clip(1 - correlation, 0, 1))
+        sigma_px: np.ndarray = 100 * self.sigma[index] * noise
+        return sigma_px
 
     def extended(self, other: Templates) -> Templates:
         """Append other templates."""
@@ -202,7 +206,8 @@ class PatchRegistration:
         self._bent = np.stack([u * u / 2, u * v, v * v / 2], axis=1)
         self._side = len(side)
 
-    def sample(self, image: DoubledImage, xy, affine=None):
+    def sample(self, image: DoubledImage, xy: np.ndarray, affine: np.ndarray | None = None,
+               ) -> np.ndarray:
         """Grey values (N, P) of an image at xy + affine @ offsets."""
         warp = np.empty((len(xy), 2, 3), np.float32)
         warp[:, :, :2] = np.eye(2) if affine is None else affine
@@ -215,7 +220,7 @@ class PatchRegistration:
                                          cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return out
 
-    def _normalise(self, values):
+    def _normalise(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weighted mean to 0 and mean square to 1; also the spread (N, 1) before."""
         values = values - values @ self.window[:, None]
         spread = np.sqrt((values * values) @ self.window[:, None]) + np.float32(1e-3)
@@ -269,8 +274,9 @@ class PatchRegistration:
                          response.reshape(-1, 2, 6))
 
     def register(self, templates: Templates, image: DoubledImage, xy: np.ndarray,
-                 affine: np.ndarray | None = None, iterations: int = 8,
-                 tolerance_px: float = 0.01, rows: np.ndarray | None = None):
+                 affine: np.ndarray | None = None, iterations: int = 8, tolerance_px: float = 0.01,
+                 rows: np.ndarray | None = None,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """
         Find the templates in another image, from a start within about two pixels.
 

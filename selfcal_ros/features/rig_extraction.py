@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import itertools
 
@@ -58,7 +58,7 @@ class RigExtraction:
 
 def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Sequence[int],
                        stamps_ns: Mapping[int, int] | None = None,
-                       progress: Callable | None = None,
+                       progress: Callable[[str, float], object] | None = None,
                        rng: np.random.Generator | None = None,
                        mask: ImageMask | None = None,
                        beside: Mapping[str, Sequence[ImagesBeside | None]] | None = None,
@@ -108,8 +108,11 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
         resting = still_features(own)
         if resting is not None:
             own = [one.select(~rests) for one, rests in zip(own, resting)]
-        found, *_ = match_pairs(own, propose_pairs(own), sizes[name], seed,
-                                lambda share, k=k: report('matching', (k + share) / count))
+
+        def matched(share: float, k: int = k) -> None:
+            report('matching', (k + share) / count)
+
+        found, *_ = match_pairs(own, propose_pairs(own), sizes[name], seed, matched)
         # instants in a row, the cameras of each beside each other
         features[k::count] = own
         matches += [ImagePairMatches(one.first * count + k, one.second * count + k, one.a, one.b,
@@ -166,7 +169,7 @@ def _across(features: list[Features], sizes: list[tuple[int, int]], instants: in
             # the geometry of a pair is verified in images of one size
             continue
 
-        def pairs(some, a=a, b=b):
+        def pairs(some: Iterable[int], a: int = a, b: int = b) -> list[tuple[int, int]]:
             return [(int(i) * count + a, int(i) * count + b) for i in some]
 
         if len(match_pairs(features, pairs(tried), sizes[a], seed)[0]) * 2 > len(tried):

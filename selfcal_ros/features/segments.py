@@ -30,6 +30,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.features.glance import Glance
 
@@ -166,7 +167,7 @@ def choose_segments(glances: Sequence[Glance], images: int, longest: int, way: f
     return chosen
 
 
-def _ways(rates, glances: Sequence[Glance]) -> np.ndarray:
+def _ways(rates: ArrayLike, glances: Sequence[Glance]) -> np.ndarray:
     """Amounts from each glance to the next of what changes at these rates."""
     stamps = 1e-9 * np.array([one.stamp_ns - glances[0].stamp_ns for one in glances])
     steps = np.diff(stamps, append=stamps[-1:])
@@ -178,4 +179,5 @@ def _ways(rates, glances: Sequence[Glance]) -> np.ndarray:
 def _value(amounts: np.ndarray) -> np.ndarray:
     """Return V, over the last axis."""
     scale, weight = (np.array([kind[k] for kind in KINDS]) for k in (1, 2))
-    return (weight * np.log1p(amounts / scale)).sum(axis=-1)
+    value: np.ndarray = (weight * np.log1p(amounts / scale)).sum(axis=-1)
+    return value

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import os
@@ -108,7 +109,8 @@ def _moving(displacement: np.ndarray, wanted_px: float) -> np.ndarray:
     return displacement
 
 
-def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0):
+def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
+                ) -> tuple[Tracks, int]:
     """
     Drop points that do not move in the image while the scene does.
 
@@ -159,8 +161,8 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0):
     return tracks.select(~static[inverse]), int(static.sum())
 
 
-def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_views: int = 2,
-           seed: int = 0) -> Verified:
+def verify(tracks: Tracks, gaps: Sequence[int] = (1, 2, 3, 4), threshold_px: float = 1.5,
+           least_views: int = 2, seed: int = 0) -> Verified:
     """
     Remove what contradicts the epipolar geometry between frames.
 
@@ -239,10 +241,11 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     return Verified(tracks.with_at_least(least_views), removed, model, frames, sound)
 
 
-def _keep_names(old, new):
+def _keep_names(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Give the first part of every track its old number, the parts cut off fresh ones."""
     _, first = np.unique(new, return_index=True)
     names = old[first].copy()
     repeated = np.concatenate([[False], names[1:] == names[:-1]])
     names[repeated] = old.max() + 1 + np.arange(repeated.sum())
-    return names[new]
+    kept: np.ndarray = names[new]
+    return kept

@@ -99,7 +99,7 @@ def _histories(tracks: Tracks, diagonal_px: float) -> _Histories:
     _, of, count = np.unique(tracks.track, return_inverse=True, return_counts=True)
     of = of.ravel()
 
-    def mean(values, rows=slice(None)):
+    def mean(values: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         weight = np.maximum(np.bincount(of[rows], minlength=len(count)), 1)
         return np.stack([np.bincount(of[rows], values[rows, k], len(count)) / weight
                          for k in (0, 1)], axis=1)
@@ -121,7 +121,7 @@ def _histories(tracks: Tracks, diagonal_px: float) -> _Histories:
     return _Histories(of, still, (count >= _LEAST_VIEWS) & (way > 12 * _STILL_PX))
 
 
-def _way_of_scene(tracks: Tracks, first, count):
+def _way_of_scene(tracks: Tracks, first: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return how far the faster points of the scene go while each track is seen, pixels."""
     frames, time = np.unique(tracks.frame, return_inverse=True)
     time = time.ravel()
@@ -133,22 +133,24 @@ def _way_of_scene(tracks: Tracks, first, count):
                      if np.count_nonzero(time[step] == k) >= 20 else 0.0
                      for k in range(len(frames))])
     total = np.concatenate([[0], np.cumsum(fast)])
-    return total[time[first + count - 1]] - total[time[first]]
+    way: np.ndarray = total[time[first + count - 1]] - total[time[first]]
+    return way
 
 
-def _cell(xy, cell_px, shape):
+def _cell(xy: np.ndarray, cell_px: float, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return the row and column of the cells of points."""
     column, row = (xy // cell_px).astype(int).T
     return np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1)
 
 
-def _regions(tracks: Tracks, histories: _Histories, size):
+def _regions(tracks: Tracks, histories: _Histories, size: tuple[int, int],
+             ) -> tuple[list[np.ndarray], float]:
     """Find the parts, as arrays of bool over cells, and the side of a cell in pixels."""
     cell_px = max(size) / _CELLS
     shape = (int(np.ceil(size[1] / cell_px)), int(np.ceil(size[0] / cell_px)))
     row, column = _cell(tracks.xy, cell_px, shape)
 
-    def counted(which):
+    def counted(which: np.ndarray) -> np.ndarray:
         cells = np.zeros(shape, np.float32)
         np.add.at(cells, (row[which], column[which]), 1)
         return cv2.boxFilter(cells, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

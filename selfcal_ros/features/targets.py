@@ -30,6 +30,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 import math
+import os
 from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
@@ -119,7 +120,7 @@ def _form(kind: str) -> str:
                 if form.startswith(kind))
 
 
-def read_points(path) -> KnownObject:
+def read_points(path: str | os.PathLike[str]) -> KnownObject:
     """
     Read a CSV file with the columns point, X, Y, Z.
 

@@ -21,6 +21,7 @@ bend a little (a parabola), since lenses do that.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -73,7 +74,8 @@ class TsaiGrid:
         points = np.concatenate([np.column_stack([u, zero, w]), np.column_stack([zero, u, w])])
         return KnownObject(np.arange(len(points)), points)
 
-    def find(self, image: np.ndarray, thorough: bool = True, bend: bool = True):
+    def find(self, image: np.ndarray, thorough: bool = True, bend: bool = True,
+             ) -> tuple[np.ndarray, np.ndarray]:
         """
         Find all corners in a grey image.
 
@@ -151,7 +153,7 @@ def _faces_across(grid: np.ndarray, other: np.ndarray) -> bool:
     return bool(across > along)
 
 
-def _dark_quads(image: np.ndarray, thorough: bool):
+def _dark_quads(image: np.ndarray, thorough: bool) -> Iterator[np.ndarray]:
     """Yield the dark convex quadrilaterals (n, 4, 2) that a threshold shows, one after another."""
     smaller = min(image.shape[:2])
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
@@ -263,7 +265,8 @@ class _Lines:
     bend: np.ndarray
 
 
-def _fitted_lines(image, corners, reach: float, bend: bool) -> _Lines | None:
+def _fitted_lines(image: np.ndarray, corners: np.ndarray, reach: float, bend: bool,
+                  ) -> _Lines | None:
     """
     Fit a line along each row of squares to their edge points.
 
