@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor
 from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.resection import projection_jacobian
 from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
 from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
@@ -135,7 +136,8 @@ class _Adjustment:
         self.freedom = (2 * len(views.xy) - int(self.free.sum()) + self.gauges
                         - 3 * self.blocks.point_count)
 
-    def apply(self, cameras, points, step, point_steps):
+    def apply(self, cameras: np.ndarray, points: np.ndarray, step: np.ndarray,
+              point_steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Move cameras and points; all but the translated cameras are of unit norm."""
         cameras = cameras + step.reshape(-1, 3, 4)
         norm = np.linalg.norm(cameras, axis=(1, 2))[:, None, None]
@@ -143,18 +145,20 @@ class _Adjustment:
         return (np.where(self.views.translated[:, None, None], cameras, cameras / norm),
                 points / np.linalg.norm(points, axis=1, keepdims=True))
 
-    def residuals(self, cameras, points):
+    def residuals(self, cameras: np.ndarray, points: np.ndarray) -> np.ndarray:
         x = np.einsum('nij,nj->ni', cameras[self.views.view], points[self.views.point])
         with np.errstate(divide='ignore', invalid='ignore'):
-            return x[:, :2] / x[:, 2:] - self.views.xy
+            residual: np.ndarray = x[:, :2] / x[:, 2:] - self.views.xy
+        return residual
 
-    def sigma(self, residual) -> float:
+    def sigma(self, residual: np.ndarray) -> float:
         """Robust estimate of the noise of a coordinate."""
         distance = np.linalg.norm(residual, axis=1)
         share = max(self.freedom, 1) / (2 * len(distance))
-        return max(robust_sigma_of_lengths(distance) / np.sqrt(share), 1e-12)
+        return float(max(robust_sigma_of_lengths(distance) / np.sqrt(share), 1e-12))
 
-    def system(self, cameras, points, sigma, damping):
+    def system(self, cameras: np.ndarray, points: np.ndarray, sigma: float, damping: float,
+               ) -> tuple[ReducedSystem, np.ndarray]:
         view, point = self.views.view, self.views.point
         jac_view = np.empty((len(view), 2, 12))
         for k, camera in enumerate(cameras):
@@ -172,7 +176,8 @@ class _Adjustment:
                                     jac_point * root[..., None], residual * root, damping)
         return system, root
 
-    def optimise(self, cameras, points, iterations):
+    def optimise(self, cameras: np.ndarray, points: np.ndarray, iterations: int,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         residual = self.residuals(cameras, points)
         sigma = self.sigma(residual)
         damping = 1e-4
@@ -203,12 +208,12 @@ class _Adjustment:
         return cameras, points, self._covariance(cameras, points, sigma), sigma
 
     @staticmethod
-    def _cost(residual, sigma):
+    def _cost(residual: np.ndarray, sigma: float) -> float:
         distance = np.linalg.norm(residual, axis=1) / sigma
         return float(huber_loss(np.where(np.isfinite(distance), distance, 1e6),
                                 _HUBER_SIGMAS).sum())
 
-    def _covariance(self, cameras, points, sigma):
+    def _covariance(self, cameras: np.ndarray, points: np.ndarray, sigma: float) -> np.ndarray:
         """Covariance of the free cameras' left halves, scales and depth unit held."""
         system, _ = self.system(cameras, points, sigma, 0.0)
         matrix = system.matrix

@@ -22,9 +22,11 @@ calibration, makes the homographies as good as the images allow and gives their 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
@@ -105,12 +107,13 @@ class AffineCalibration:
         """Calibration matrix, pixels, shape (3, 3)."""
         return self.conic.K
 
-    def metric(self, K=None) -> np.ndarray:
+    def metric(self, K: ArrayLike | None = None) -> np.ndarray:
         """Euclidean points (P, 3) in the reference's frame, up to scale (2.16)."""
         return metric_points(self.K if K is None else K, self.structure.points)
 
 
-def translated_pair(tracks: Tracks, frames):
+def translated_pair(tracks: Tracks, frames: Sequence[int] | np.ndarray,
+                    ) -> tuple[int, int, np.ndarray] | NoEstimate:
     """
     Choose the two of several translated views that tell most of depth.
 
@@ -155,7 +158,8 @@ def translated_pair(tracks: Tracks, frames):
     return (*pairs[best], epipole)
 
 
-def affine_structure(tracks: Tracks, translated, refine: bool = True):
+def affine_structure(tracks: Tracks, translated: Sequence[int] | np.ndarray, refine: bool = True,
+                     ) -> AffineReconstruction | NoEstimate:
     """
     Affine cameras and points of all views (algorithms 4.1, 4.2).
 
@@ -191,7 +195,8 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
         return NoEstimate('translated_scene_flat', first=first, second=second, ratio=float(flat))
     points[row, 3] /= size
     epipole = epipole * size
-    standing, failure = [first, second], None
+    standing = [first, second]
+    failure: NoEstimate | None = None
     cameras = [np.eye(3, 4), np.column_stack([np.eye(3), epipole])]
     waiting = [int(f) for f in tracks.frames if f not in standing]
     while waiting:
@@ -206,8 +211,8 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
             camera = _translated_camera(points[track[rows]], tracks.xy[rows])
         else:
             found = resect(points[track[rows]], tracks.xy[rows], huber_sigmas=_HUBER_SIGMAS)
-            camera = found.P if found else None
-            failure = failure if found else found
+            camera = None if isinstance(found, NoEstimate) else found.P
+            failure = found if isinstance(found, NoEstimate) else failure
         if camera is None:
             continue
         standing.append(frame)
@@ -237,7 +242,8 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
                                 adjusted.sigma_px)
 
 
-def _plane_ratio(points, epipole, xy_a, xy_b) -> float:
+def _plane_ratio(points: np.ndarray, epipole: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray,
+                 ) -> float:
     """What the best plane leaves of the displacements, in units of their noise; robust."""
     moved = correct_to_epipolar_line(epipole, xy_a, xy_b)[2]
     noise = robust_sigma(moved[:, 0] - moved[:, 1]) + 1e-9
@@ -254,7 +260,7 @@ def _plane_ratio(points, epipole, xy_a, xy_b) -> float:
     return float(np.percentile(left, 75) / 1.1503 / noise)
 
 
-def _translated_camera(points, xy) -> np.ndarray | None:
+def _translated_camera(points: np.ndarray, xy: np.ndarray) -> np.ndarray | None:
     """Camera [I | e] of a further translated view, by least squares, gross errors weighed."""
     x = homogeneous(xy)
     ahead = points[:, :3]
@@ -279,7 +285,8 @@ def _translated_camera(points, xy) -> np.ndarray | None:
     return np.column_stack([np.eye(3), e]) if np.isfinite(e).all() else None
 
 
-def _add_points(points, tracks, track, standing, cameras) -> None:
+def _add_points(points: np.ndarray, tracks: Tracks, track: np.ndarray, standing: list[int],
+                cameras: np.ndarray) -> None:
     """Triangulate tracks that standing views see at least twice and that are not placed yet."""
     fresh = ~np.isfinite(points).all(axis=1)
     frames = np.array(standing)
@@ -293,8 +300,9 @@ def _add_points(points, tracks, track, standing, cameras) -> None:
     points[rows] = triangulate(cameras, view, index, tracks.xy[mask])
 
 
-def calibrate_affine(tracks: Tracks, translated, size: tuple[int, int],
-                     facts: CameraFacts | None = None, refine: bool = True):
+def calibrate_affine(tracks: Tracks, translated: Sequence[int] | np.ndarray, size: tuple[int, int],
+                     facts: CameraFacts | None = None, refine: bool = True,
+                     ) -> AffineCalibration | NoEstimate:
     """
     Calibrate from views of which some are related by pure translation (chapter 4).
 
@@ -325,4 +333,4 @@ def calibrate_affine(tracks: Tracks, translated, size: tuple[int, int],
     if isinstance(structure, NoEstimate):
         return structure
     conic = camera_from_homographies(structure.homographies, size, facts)
-    return AffineCalibration(conic, structure) if conic else conic
+    return conic if isinstance(conic, NoEstimate) else AffineCalibration(conic, structure)

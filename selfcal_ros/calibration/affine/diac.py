@@ -21,9 +21,11 @@ known fact picks the member (4.9).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -55,7 +57,7 @@ class InfiniteHomographies:
     covariance: np.ndarray
 
 
-def unit_determinant(M) -> tuple[np.ndarray, np.ndarray]:
+def unit_determinant(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Scale matrices to determinant 1.
 
@@ -79,7 +81,7 @@ def unit_determinant(M) -> tuple[np.ndarray, np.ndarray]:
     return M / root, (np.eye(9) - flat @ trace / 3) / root
 
 
-def constraint_rows(H) -> np.ndarray:
+def constraint_rows(H: np.ndarray) -> np.ndarray:
     """
     Rows of the linear system A c = 0 of omega* = H omega* H^T (4.8).
 
@@ -101,14 +103,14 @@ def constraint_rows(H) -> np.ndarray:
     return np.moveaxis(change[:, :, _UPPER[0], _UPPER[1]], 1, 2)
 
 
-def conic_matrix(c) -> np.ndarray:
+def conic_matrix(c: ArrayLike) -> np.ndarray:
     """Symmetric matrix (3, 3) of its six upper entries (6,)."""
     matrix = np.zeros((3, 3))
     matrix[_UPPER] = c
     return matrix + np.triu(matrix, 1).T
 
 
-def camera_from_dual_conic(conic):
+def camera_from_dual_conic(conic: ArrayLike) -> np.ndarray | NoEstimate:
     """
     Calibration matrix of omega* = K K^T by Cholesky's method.
 
@@ -122,12 +124,14 @@ def camera_from_dual_conic(conic):
     ndarray, shape (3, 3), or NoEstimate
 
     """
-    if not np.linalg.cond(conic) < 1e15:
+    matrix = np.asarray(conic, float)
+    if not np.linalg.cond(matrix) < 1e15:
         return NoEstimate('dual_conic_degenerate')
-    return calibration_from_iac(np.linalg.inv(conic))
+    return calibration_from_iac(np.linalg.inv(matrix))
 
 
-def linear_conic(H, noise: float = 0.0, facts: CameraFacts | None = None):
+def linear_conic(H: np.ndarray, noise: float = 0.0, facts: CameraFacts | None = None,
+                 ) -> tuple[list[tuple[str, np.ndarray]], bool]:
     """
     Closed form of omega* from homographies in normalised coordinates (4.8, 4.9).
 
@@ -161,13 +165,13 @@ def linear_conic(H, noise: float = 0.0, facts: CameraFacts | None = None):
     if facts.aspect_ratio is not None:
         z2 = facts.aspect_ratio**2
 
-        def aspect(a, b):
-            return (z2 * (a[0, 0] * b[2, 2] - a[0, 2] * b[0, 2])
-                    - a[1, 1] * b[2, 2] + a[1, 2] * b[1, 2])
+        def aspect(a: np.ndarray, b: np.ndarray) -> float:
+            return float(z2 * (a[0, 0] * b[2, 2] - a[0, 2] * b[0, 2])
+                         - a[1, 1] * b[2, 2] + a[1, 2] * b[1, 2])
         found += _members('aspect ratio', first, second, aspect)
     if facts.skew == 0:
-        def skewed(a, b):
-            return a[0, 1] * b[2, 2] - a[0, 2] * b[1, 2]
+        def skewed(a: np.ndarray, b: np.ndarray) -> float:
+            return float(a[0, 1] * b[2, 2] - a[0, 2] * b[1, 2])
         found += _members('zero skew', first, second, skewed)
     if facts.principal_point is not None:
         point = np.array(facts.principal_point)
@@ -178,7 +182,8 @@ def linear_conic(H, noise: float = 0.0, facts: CameraFacts | None = None):
     return found, True
 
 
-def _members(name, first, second, form):
+def _members(name: str, first: np.ndarray, second: np.ndarray,
+             form: Callable[[np.ndarray, np.ndarray], float]) -> list[tuple[str, np.ndarray]]:
     """Members a first + b second of the family at which a bilinear form of omega* vanishes."""
     quadratic = [form(second, second), form(first, second) + form(second, first),
                  form(first, first)]

@@ -79,30 +79,30 @@ class ConicCalibration:
 class _Constraints:
     """R = K^-1 H K be rotations: residuals, weights and derivatives in (log f, log ζ, ...)."""
 
-    def __init__(self, H, covariance):
+    def __init__(self, H: np.ndarray, covariance: np.ndarray) -> None:
         self.H = H
         self.covariance = covariance + ROUNDING**2 * np.eye(covariance.shape[1])
 
     @staticmethod
-    def K(theta):
+    def K(theta: np.ndarray) -> np.ndarray:
         f = np.exp(theta[_LOG_F])
         return np.array([[f, theta[_SKEW], theta[_CX]],
                          [0, f * np.exp(theta[_LOG_ASPECT]), theta[_CY]], [0, 0, 1]])
 
     @staticmethod
-    def select(S):
+    def select(S: np.ndarray) -> np.ndarray:
         """Five numbers of R R^T - I: its trace is zero to first order, as det R = 1."""
         return np.stack([S[..., 0, 0] - S[..., 1, 1],
                          (S[..., 0, 0] + S[..., 1, 1] - 2 * S[..., 2, 2]) / np.sqrt(3),
                          2 * S[..., 0, 1], 2 * S[..., 0, 2], 2 * S[..., 1, 2]], axis=-1)
 
-    def residuals(self, theta):
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
         """R R^T - I of all views, by independent groups, shape (n / m, 5 m)."""
         K = self.K(theta)
         R = np.linalg.inv(K) @ self.H @ K
         return self.select(R @ np.swapaxes(R, 1, 2)).reshape(len(self.covariance), -1)
 
-    def evaluate(self, theta):
+    def evaluate(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
         Return residuals, slopes and the inverse covariance of residuals, by independent groups.
 
@@ -135,18 +135,20 @@ class _Constraints:
         return (r.reshape(groups, -1), np.swapaxes(slope, 1, 2).reshape(groups, -1, 5), weight)
 
 
-def _solve(constraints, theta, free, facts_terms, iterations=30):
+def _solve(constraints: _Constraints, theta: np.ndarray, free: np.ndarray,
+           facts_terms: tuple[np.ndarray, np.ndarray], iterations: int = 30,
+           ) -> tuple[np.ndarray, float, float, np.ndarray]:
     """Gauss-Newton with damping, weights renewed in each step; theta, cost, information."""
     # a very wide prior holds what nothing else does
     wide = np.array([3.0, 1.0, 1.0, 1.0, 1.0])
     targets, sigmas = facts_terms
     index = np.flatnonzero(free)
 
-    def total(t, W):
+    def total(t: np.ndarray, W: np.ndarray) -> float:
         r = constraints.residuals(t)
         fact = (t - targets) / sigmas
-        return (_square(r, W) + np.sum(fact[np.isfinite(sigmas)]**2)
-                + np.sum((t / wide)[free]**2))
+        return float(_square(r, W) + np.sum(fact[np.isfinite(sigmas)]**2)
+                     + np.sum((t / wide)[free]**2))
 
     damping = 1e-3
     for _ in range(iterations):
@@ -181,23 +183,23 @@ def _solve(constraints, theta, free, facts_terms, iterations=30):
     return theta, misfit - log_weight, misfit, information
 
 
-def _square(r, W) -> float:
+def _square(r: np.ndarray, W: np.ndarray) -> float:
     """Sum r W r over independent groups."""
     return float(np.sum((r[:, None] @ W)[:, 0] * r))
 
 
-def _normal(r, J, W):
+def _normal(r: np.ndarray, J: np.ndarray, W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sum the normal equations of independent groups: J^T W J, J^T W r."""
     JW = np.swapaxes(J, 1, 2) @ W
     return (JW @ J).sum(axis=0), (JW @ r[:, :, None])[:, :, 0].sum(axis=0)
 
 
-def _theta(K):
+def _theta(K: np.ndarray) -> np.ndarray:
     return np.array([np.log(K[0, 0]), np.log(K[1, 1] / K[0, 0]), K[0, 2], K[1, 2], K[0, 1]])
 
 
 def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int, int],
-                             facts: CameraFacts | None = None):
+                             facts: CameraFacts | None = None) -> ConicCalibration | NoEstimate:
     """
     Calibrate a fixed camera from infinite homographies (algorithm 4.2, last steps).
 
@@ -275,7 +277,7 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
                             name, rotations, float(np.sqrt(misfit / freedom)))
 
 
-def _is_identity(H, covariance) -> bool:
+def _is_identity(H: np.ndarray, covariance: np.ndarray) -> bool:
     """Tell whether homographies differ from no rotation by no more than their noise."""
     offset = (H - np.eye(3)).reshape(len(covariance), -1)
     statistic = _square(offset, np.linalg.pinv(covariance, rcond=1e-9, hermitian=True))
@@ -283,7 +285,7 @@ def _is_identity(H, covariance) -> bool:
     return bool(statistic < _IDENTITY_SLACK * chi2_isf(0.001, 8 * len(H)))
 
 
-def _nothing(facts, kind) -> NoEstimate:
+def _nothing(facts: CameraFacts, kind: str) -> NoEstimate:
     camera = Camera(np.eye(3), width=1, height=1)
     status = parameter_status(camera, np.diag(np.full(9, 1e12)), facts)
     status = {k: status[k] for k in ('fx', 'fy', 'cx', 'cy', 'skew')}
@@ -292,7 +294,7 @@ def _nothing(facts, kind) -> NoEstimate:
     return NoEstimate(kind, status=status, open_directions=('everything',))
 
 
-def _scaled_facts(facts, scale, middle):
+def _scaled_facts(facts: CameraFacts, scale: float, middle: np.ndarray) -> CameraFacts:
     point = facts.principal_point
     return replace(
         facts, skew=None if facts.skew is None else facts.skew / scale,
@@ -301,7 +303,8 @@ def _scaled_facts(facts, scale, middle):
         principal_point_sigma_px=facts.principal_point_sigma_px / scale)
 
 
-def _fact_terms(facts):
+def _fact_terms(facts: CameraFacts,
+                ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Free parameters, where the held ones stand, and facts with a spread as measurements."""
     free, start = np.ones(5, bool), np.zeros(5)
     targets, sigmas = np.zeros(5), np.full(5, np.inf)
@@ -323,7 +326,8 @@ def _fact_terms(facts):
     return free, start, (targets, sigmas)
 
 
-def _judge(information, free, K, scale, inflation):
+def _judge(information: np.ndarray, free: np.ndarray, K: np.ndarray, scale: float,
+           inflation: float) -> tuple[np.ndarray, float, tuple[str, ...]]:
     """Covariance of fx, fy, cx, cy, skew (px), sigma of log ζ, names of open directions."""
     index = np.flatnonzero(free)
     values, vectors = np.linalg.eigh(information[np.ix_(index, index)])
@@ -342,7 +346,8 @@ def _judge(information, free, K, scale, inflation):
     return J @ small @ J.T, float(np.sqrt(small[1, 1])), tuple(directions)
 
 
-def _explain(status, rotations, family, facts, open_directions) -> NoEstimate:
+def _explain(status: dict[str, str], rotations: np.ndarray, family: bool, facts: CameraFacts,
+             open_directions: tuple[str, ...]) -> NoEstimate:
     """Tell what is open and which rotation would help."""
     missing = tuple(name for name, state in status.items() if state == 'unobservable')
     _, spread, axes = np.linalg.svd(rotations, full_matrices=True)

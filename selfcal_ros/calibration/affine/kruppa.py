@@ -23,6 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -53,7 +54,7 @@ class KruppaCalibration:
     residual: float
 
 
-def kruppa_residuals(F, dual_conic) -> np.ndarray:
+def kruppa_residuals(F: np.ndarray, dual_conic: np.ndarray) -> np.ndarray:
     """
     Difference of both sides of Kruppa's equations, each scaled to unit norm.
 
@@ -75,10 +76,12 @@ def kruppa_residuals(F, dual_conic) -> np.ndarray:
     right = cross @ dual_conic @ np.swapaxes(cross, 1, 2)
     left, right = (side / np.linalg.norm(side, axis=(1, 2), keepdims=True)
                    for side in (left, right))
-    return (left - right)[:, _UPPER[0], _UPPER[1]]
+    difference: np.ndarray = (left - right)[:, _UPPER[0], _UPPER[1]]
+    return difference
 
 
-def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None, weights=None):
+def calibrate_kruppa(F: ArrayLike, size: tuple[int, int], facts: CameraFacts | None = None,
+                     weights: ArrayLike | None = None) -> KruppaCalibration | NoEstimate:
     """
     Calibrate from the fundamental matrices of pairs of views.
 
@@ -99,12 +102,12 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
 
     """
     facts = CameraFacts() if facts is None else facts
-    F = np.asarray(F, float).reshape(-1, 3, 3)
+    of_pixels = np.asarray(F, float).reshape(-1, 3, 3)
     scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
     back = np.array([[scale, 0, middle[0]], [0, scale, middle[1]], [0, 0, 1]])
-    F = back.T @ F @ back
-    F = F / np.linalg.norm(F, axis=(1, 2), keepdims=True)
-    weight = np.ones(len(F)) if weights is None else np.asarray(weights, float)
+    scaled = back.T @ of_pixels @ back
+    scaled = scaled / np.linalg.norm(scaled, axis=(1, 2), keepdims=True)
+    weight = np.ones(len(scaled)) if weights is None else np.asarray(weights, float)
     start = np.zeros(5)          # log f, log aspect, cx, cy, skew
     free = np.ones(5, bool)
     if facts.aspect_ratio is not None:
@@ -113,20 +116,21 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
         start[2:4], free[2:4] = (np.array(facts.principal_point) - middle) / scale, False
     if facts.skew is not None:
         start[4], free[4] = facts.skew / scale, False
-    if 2 * len(F) < free.sum():
+    if 2 * len(scaled) < free.sum():
         return NoEstimate('too_few', what="camera from Kruppa's equations", needed=int(free.sum()),
-                          items='equations, two a pair', found=2 * len(F))
+                          items='equations, two a pair', found=2 * len(scaled))
 
-    def camera(values):
+    def camera(values: np.ndarray) -> np.ndarray:
         f, ratio = np.exp(values[:2])
         cx, cy, skew = values[2:]
         return np.array([[f, skew, cx], [0, f * ratio, cy], [0, 0, 1]])
 
-    def residuals(unknown):
+    def residuals(unknown: np.ndarray) -> np.ndarray:
         values = start.copy()
         values[free] = unknown
         K = camera(values)
-        return (kruppa_residuals(F, K @ K.T) * weight[:, None]).ravel()
+        left: np.ndarray = kruppa_residuals(scaled, K @ K.T) * weight[:, None]
+        return left.ravel()
 
     # loaded by the few that need it
     from scipy.optimize import least_squares
@@ -143,4 +147,4 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
     values = start.copy()
     values[free] = best.x
     K = back @ camera(values)
-    return KruppaCalibration(K / K[2, 2], float(np.sqrt(2 * best.cost / (6 * len(F)))))
+    return KruppaCalibration(K / K[2, 2], float(np.sqrt(2 * best.cost / (6 * len(scaled)))))

@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
@@ -81,7 +82,7 @@ class ModulusCalibration:
         return self.conic.K
 
 
-def modulus_residuals(cameras, plane) -> np.ndarray:
+def modulus_residuals(cameras: np.ndarray, plane: ArrayLike) -> np.ndarray:
     """
     Violation of the modulus constraint by all pairs of views.
 
@@ -106,10 +107,12 @@ def modulus_residuals(cameras, plane) -> np.ndarray:
     inverse = np.linalg.inv(H)
     there = np.einsum('...ij,...ji->...', H[..., b, :, :], inverse[..., a, :, :])
     back = np.einsum('...ij,...ji->...', H[..., a, :, :], inverse[..., b, :, :])
-    return there - back
+    violation: np.ndarray = there - back
+    return violation
 
 
-def projective_structure(tracks: Tracks, size: tuple[int, int]):
+def projective_structure(tracks: Tracks, size: tuple[int, int],
+                         ) -> tuple[np.ndarray, np.ndarray, float] | NoEstimate:
     """
     Projective cameras and points of a few views that share points.
 
@@ -171,7 +174,7 @@ def projective_structure(tracks: Tracks, size: tuple[int, int]):
     return np.array(standing), adjusted.cameras, adjusted.sigma_px
 
 
-def _proposed_planes(cameras, aspect) -> np.ndarray:
+def _proposed_planes(cameras: np.ndarray, aspect: float) -> np.ndarray:
     """Planes at infinity that supposed cameras imply, for each view against the first, (n, 3)."""
     planes = []
     for focal in _FOCAL_SWEEP:
@@ -189,7 +192,8 @@ def _proposed_planes(cameras, aspect) -> np.ndarray:
     return np.array(planes)
 
 
-def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None):
+def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
+                      ) -> ModulusCalibration | NoEstimate:
     """
     Calibrate from four or more general views, none of them translated (4.1.2).
 

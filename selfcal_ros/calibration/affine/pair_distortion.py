@@ -20,9 +20,11 @@ those under which the pairs agree best with general F, each with its own F and i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
@@ -45,7 +47,8 @@ MIN_RESIDUAL_PX = 1e-4
 _MAX_DISTORTION = 0.25
 
 
-def undo_radial(xy, radial, size: tuple[int, int]) -> np.ndarray:
+def undo_radial(xy: ArrayLike, radial: Sequence[float] | np.ndarray, size: tuple[int, int],
+                ) -> np.ndarray:
     """
     Undo radial distortion about the image's middle c: c + (x - c) (1 + a r² + b r⁴).
 
@@ -66,7 +69,8 @@ def undo_radial(xy, radial, size: tuple[int, int]) -> np.ndarray:
     middle = (np.array(size, float) - 1) / 2
     offset = np.asarray(xy, float) - middle
     square = np.sum(offset**2, axis=-1, keepdims=True) / (middle @ middle)
-    return middle + offset * (1 + square * (radial[0] + square * radial[1]))
+    undone: np.ndarray = middle + offset * (1 + square * (radial[0] + square * radial[1]))
+    return undone
 
 
 def straightened(tracks: Tracks, size: tuple[int, int],
@@ -93,7 +97,8 @@ def straightened(tracks: Tracks, size: tuple[int, int],
     return Tracks(tracks.frame[usable], tracks.track[usable], xy[usable], size)
 
 
-def sampled_matches(tracks: Tracks, pairs, most: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def sampled_matches(tracks: Tracks, pairs: np.ndarray, most: int,
+                    ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the matches (M, 2), (M, 2) of every pair of frames, evenly thinned out to so many."""
     found = []
     for a, b in pairs:
@@ -114,10 +119,11 @@ def pairs_with_matches(tracks: Tracks) -> np.ndarray:
     keep = common[a, b] >= MIN_MATCHES
     pairs = np.column_stack([frames[a], frames[b]])[keep]
     different = [_differ(*tracks.matches(int(i), int(j))[1:]) for i, j in pairs]
-    return pairs[np.array(different, bool)]
+    usable: np.ndarray = pairs[np.array(different, bool)]
+    return usable
 
 
-def _differ(xy_a, xy_b) -> bool:
+def _differ(xy_a: np.ndarray, xy_b: np.ndarray) -> bool:
     """Tell whether two images are more than one image, shifted as a whole, which says nothing."""
     return bool((xy_b - xy_a).std(axis=0).max() > MIN_RESIDUAL_PX)
 
@@ -135,7 +141,8 @@ def general_geometry(data: PairMatches) -> tuple[PairMatches, np.ndarray]:
     return data, refine_general(data, F, tolerance=COST_TOLERANCE)[1]
 
 
-def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs=None) -> tuple[float, float]:
+def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs: np.ndarray | None = None,
+                    ) -> tuple[float, float]:
     """
     Two distortion coefficients that make the epipolar geometry of the pairs fit best.
 
@@ -193,26 +200,27 @@ class _RadialPairs:
 class _RadialFit:
     """Distortion that pairs share, each with its own F and its own noise."""
 
-    def __init__(self, data: PairMatches, size):
+    def __init__(self, data: PairMatches, size: tuple[int, int]) -> None:
         self.data, self._size = data, size
         self._scale, self._shift = data.transform[0, 0], data.transform[:2, 2]
         self._pixels = [(x[..., :2] - self._shift) / self._scale
                         for x in (data.first, data.second)]
         self._freedom = data.counts - 7.0
 
-    def _undone(self, radial) -> PairMatches:
+    def _undone(self, radial: np.ndarray) -> PairMatches:
         first, second = (homogeneous(undo_radial(x, radial, self._size) * self._scale
                                      + self._shift) for x in self._pixels)
         return PairMatches(first, second, self.data.weight, self.data.transform)
 
-    def at(self, radial, F=None) -> _RadialPairs:
+    def at(self, radial: np.ndarray, F: np.ndarray | None = None) -> _RadialPairs:
         """Find F (n, 3, 3) of every pair, from a start if there is one."""
         part = self._undone(radial)
         return _RadialPairs(radial, part, *refine_general(
             part, eight_point(part) if F is None else F, tolerance=COST_TOLERANCE))
 
     def _mean_square(self, pairs: _RadialPairs) -> np.ndarray:
-        return pairs.cost / np.maximum(self.data.counts, 1) + MIN_RESIDUAL_PX**2
+        variance: np.ndarray = pairs.cost / np.maximum(self.data.counts, 1) + MIN_RESIDUAL_PX**2
+        return variance
 
     def value(self, pairs: _RadialPairs) -> float:
         """Twice the negative logarithm of the likelihood."""
@@ -236,4 +244,6 @@ class _RadialFit:
         gradient = np.swapaxes(by_radial, 1, 2) @ residual.reshape(count, -1, 1)
         H = np.einsum('n,nij->ij', weight, square)
         # points of one radius leave a direction open
-        return -np.linalg.lstsq(H, np.einsum('n,ni->i', weight, gradient[..., 0]), rcond=1e-9)[0]
+        downhill = np.einsum('n,ni->i', weight, gradient[..., 0])
+        step: np.ndarray = -np.linalg.lstsq(H, downhill, rcond=1e-9)[0]
+        return step

@@ -21,9 +21,12 @@ affine chain applies as it stands.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
-from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
+import numpy as np
+from numpy.typing import ArrayLike
+
+from selfcal_ros.calibration.affine.affine_calibration import AffineCalibration, calibrate_affine
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -31,7 +34,8 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
 
-def tracks_from_objects(objects, size: tuple[int, int] | None = None) -> Tracks:
+def tracks_from_objects(objects: Sequence[ArrayLike], size: tuple[int, int] | None = None,
+                        ) -> Tracks:
     """
     Tracks in which each object of one image is a frame, and each of its points a track.
 
@@ -54,12 +58,12 @@ def tracks_from_objects(objects, size: tuple[int, int] | None = None) -> Tracks:
         If the objects do not have equally many points.
 
     """
-    objects = [np.asarray(points, float) for points in objects]
-    if len({points.shape for points in objects}) != 1 or objects[0].ndim != 2 \
-            or objects[0].shape[1] != 2:
+    places = [np.asarray(points, float) for points in objects]
+    if len({points.shape for points in places}) != 1 or places[0].ndim != 2 \
+            or places[0].shape[1] != 2:
         raise InputError('Equal objects need the same points in the same order, (n, 2) each; '
-                         f'got {", ".join(str(points.shape) for points in objects)}.')
-    xy = np.stack(objects)
+                         f'got {", ".join(str(points.shape) for points in places)}.')
+    xy = np.stack(places)
     seen = np.isfinite(xy).all(axis=2)
     frame, track = np.nonzero(seen)
     return Tracks(frame, track, xy[seen], size)
@@ -86,8 +90,9 @@ def objects_from_tracks(tracks: Tracks) -> list[np.ndarray]:
     return list(xy)
 
 
-def calibrate_repeated(objects, size: tuple[int, int], facts: CameraFacts | None = None,
-                       translated=None):
+def calibrate_repeated(objects: Sequence[ArrayLike], size: tuple[int, int],
+                       facts: CameraFacts | None = None, translated: Sequence[int] | None = None,
+                       ) -> AffineCalibration | NoEstimate:
     """
     Calibrate a camera from one image of equal objects.
 
@@ -113,6 +118,7 @@ def calibrate_repeated(objects, size: tuple[int, int], facts: CameraFacts | None
         found = translation_groups(tracks, size, radial=(0.0, 0.0))
         if not found.groups:
             none = found.finding()
+            assert isinstance(none, NoEstimate)
             return NoEstimate('no_translated_objects', **none.values) \
                 if none.kind == 'no_translated_pair' else none
         translated = found.groups[0]

@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, estimate_radial,
                                                             general_geometry, MIN_MATCHES,
@@ -103,11 +104,11 @@ class TranslationGroups:
 
     """
 
-    groups: tuple
+    groups: tuple[tuple[int, ...], ...]
     radial: tuple[float, float]
     tests: PairTests
 
-    def finding(self) -> Finding:
+    def finding(self) -> Finding | NoEstimate:
         """What was found; a `NoEstimate` where there is no group."""
         tests = self.tests
         if not len(tests.frames):
@@ -127,7 +128,8 @@ class TranslationGroups:
         return self.finding().sentence
 
 
-def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, radial=None,
+def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLike | None = None,
+                          radial: tuple[float, float] | None = None,
                           ) -> tuple[PairTests, tuple[float, float]]:
     """
     Test pairs of views for pure translation.
@@ -174,7 +176,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, rad
 
 
 def translation_groups(tracks: Tracks, size: tuple[int, int],
-                       radial=None) -> TranslationGroups:
+                       radial: tuple[float, float] | None = None) -> TranslationGroups:
     """
     Find the groups of views that are related by pure translation.
 

@@ -21,6 +21,7 @@ images are calibrated without the facts, and what they then prefer is held again
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
     rows = dict(zip(MATRIX_PARAMETERS, np.eye(len(MATRIX_PARAMETERS), len(camera.parameters))))
     rows['aspect'] = (rows['fy'] - fy / fx * rows['fx']) / fx
     values = {**dict(zip(MATRIX_PARAMETERS, camera.parameters)), 'aspect': fy / fx}
-    found: list[tuple[float, dict]] = []
+    found: list[tuple[float, dict[str, Any]]] = []
     for fact, names in ABOUT.items():
         if not set(names) <= set(priors):
             continue

@@ -23,7 +23,8 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_POINTS, propose_camera
-from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion, GENERAL
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera

@@ -27,6 +27,7 @@ others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,7 +186,8 @@ def _supposed(one: Calibration, names: list[str], unit: np.ndarray, stated: np.n
     return P, at
 
 
-def _share(one: Calibration, free, unit, P, value) -> _Share:
+def _share(one: Calibration, free: np.ndarray, unit: np.ndarray, P: np.ndarray, value: np.ndarray,
+           ) -> _Share:
     """Take the facts out of a calibration."""
     lens = Lens.of(one.camera)
     C = to_intrinsics(np.asarray(one.covariance, float), lens)[np.ix_(free, free)]
@@ -200,7 +202,8 @@ def _share(one: Calibration, free, unit, P, value) -> _Share:
     return _Share(D, D @ x + project @ P @ (x - value))
 
 
-def _solve(shares, used, P, value):
+def _solve(shares: Sequence[_Share], used: np.ndarray, P: np.ndarray, value: np.ndarray,
+           ) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Return the joint estimate, its information, chi-square and degrees of freedom."""
     chosen = [share for share, use in zip(shares, used) if use]
     information = sum((share.D for share in chosen), P)
@@ -211,7 +214,8 @@ def _solve(shares, used, P, value):
     return x, information, total, max(freedom, 0)
 
 
-def _against_others(shares, used, P, value):
+def _against_others(shares: Sequence[_Share], used: np.ndarray, P: np.ndarray, value: np.ndarray,
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """Test each calibration against those of the others that are used."""
     deviation, doubt = np.full(len(shares), np.nan), np.ones(len(shares))
     information = sum((share.D for share, use in zip(shares, used) if use), P)

@@ -287,7 +287,8 @@ def _of_all_views(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Ro
         if every is None:
             return None
         rotations = every
-    return rotations @ rotations[0].T
+    turned: np.ndarray = rotations @ rotations[0].T
+    return turned
 
 
 def left_by_turns(graph: ViewGraph, camera: Camera) -> float:

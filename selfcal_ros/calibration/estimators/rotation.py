@@ -21,12 +21,14 @@ directions of the points, with its covariance.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.affine.infinite_homography_calibration import camera_from_homographies
+from selfcal_ros.calibration.affine.infinite_homography_calibration import (
+    camera_from_homographies, ConicCalibration)
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.motion import MotionModel, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -84,7 +86,7 @@ STRETCH = 24
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
 
-def epipolar_noise(tracks: Tracks, frames) -> float:
+def epipolar_noise(tracks: Tracks, frames: Sequence[int] | np.ndarray) -> float:
     """Median noise of a coordinate by general F between the first of frames and the others."""
     pairs = [tracks.matches(int(frames[0]), int(f))[1:] for f in frames[1:]]
     pairs = [pair for pair in pairs if len(pair[0]) >= MIN_MATCHES]
@@ -186,7 +188,7 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     if len(frames) < 2:
         return NoEstimate('no_homography_pair', needed=MIN_MATCHES)
     conic = camera_from_homographies(homographies, size, facts)
-    if not conic and conic.kind in _NOT_ROTATED:
+    if isinstance(conic, NoEstimate) and conic.kind in _NOT_ROTATED:
         return NoEstimate('no_motion', motion='none', status={
             k: v for k, v in conic.values['status'].items() if k != 'aspect_ratio'})
     kept = tracks.in_frames(frames).with_at_least(2)
@@ -222,9 +224,9 @@ def _zooming(frames: np.ndarray) -> MotionModel:
     return replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
 
 
-def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.ndarray, conic,
-         sigma_px: float, size: tuple[int, int], facts: CameraFacts,
-         hopeless_px: float = np.inf) -> LensDecision | NoEstimate:
+def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.ndarray,
+         conic: ConicCalibration | NoEstimate, sigma_px: float, size: tuple[int, int],
+         facts: CameraFacts, hopeless_px: float = np.inf) -> LensDecision | NoEstimate:
     """Start with several cameras, and fit the lens from the best."""
     priors = priors_from_facts(facts)
     bundle = bundle_of(observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
@@ -359,7 +361,8 @@ def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit, size: tuple
     return None
 
 
-def _starting_cameras(conic, size, facts):
+def _starting_cameras(conic: ConicCalibration | NoEstimate, size: tuple[int, int],
+                      facts: CameraFacts) -> Iterator[np.ndarray]:
     """Closed form first, then supposed focal lengths with the principal point in the middle."""
     if not isinstance(conic, NoEstimate):
         yield conic.K
@@ -370,7 +373,8 @@ def _starting_cameras(conic, size, facts):
                         [0, 0, 1]])
 
 
-def _start(K, H, order, observed, model: str) -> SceneState:
+def _start(K: np.ndarray, H: np.ndarray, order: np.ndarray, observed: Observations, model: str,
+           ) -> SceneState:
     """Rotations nearest to K^-1 H K, and mean directions of the points."""
     camera = Camera(K, model=model)
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)

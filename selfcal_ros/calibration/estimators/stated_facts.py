@@ -23,6 +23,7 @@ the difference. Either way the value that the images prefer is told.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -81,14 +82,14 @@ class Contradiction:
     """
 
     fact: str
-    preferred: list[dict]
+    preferred: list[dict[str, Any]]
     sigmas: float
     shift: np.ndarray
     is_large: bool
     has_sigma: bool = False
 
     @property
-    def values(self) -> dict:
+    def values(self) -> dict[str, Any]:
         """What findings say of it."""
         return {'fact': self.fact, 'preferred': self.preferred, 'sigmas': self.sigmas}
 

@@ -22,6 +22,7 @@ little of the field, the statement is to blame, and not the lens.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,8 @@ def contradicted_lens(fit: RobustFit, stated: CameraFacts, size: tuple[int, int]
                          bool(np.abs(moved).max() > MOVED_FRACTION * fit.state.lens['f']))
 
 
-def _preferred(fit: RobustFit, other: RobustFit, name: str, stated: CameraFacts) -> list[dict]:
+def _preferred(fit: RobustFit, other: RobustFit, name: str, stated: CameraFacts,
+               ) -> list[dict[str, Any]]:
     """Name the coefficients that were held, or the other model."""
     lens, (_, _, _, free) = other.state.lens, fit.lenses()[0]
     if lens.model is not fit.state.lens.model:

@@ -21,6 +21,7 @@ distortion that the chain neglects, has the last word.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +44,8 @@ CHAIN_TRACKS_PER_VIEW = 100
 
 
 def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
-                         translated=None, at_once: bool = False) -> Calibration | NoEstimate:
+                         translated: Sequence[int] | None = None, at_once: bool = False,
+                         ) -> Calibration | NoEstimate:
     """
     Calibrate from views of which some are related by pure translation.
 
@@ -65,7 +67,7 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     """
     frames = tuple(int(f) for f in graph.frames)
     stated = translated is not None
-    if not stated:
+    if translated is None:
         found = translation_groups(graph.tracks, size)
         groups = found.finding()
         if isinstance(groups, NoEstimate):
@@ -86,7 +88,7 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     tracks = Tracks(tracks.frame[usable], tracks.track[usable], straight[usable], size)
     tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
     chain = calibrate_affine(tracks, translated, size, facts)
-    if not chain and 'status' in chain.values:
+    if isinstance(chain, NoEstimate) and 'status' in chain.values:
         return chain.saying(motion='translation')
     proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
     motion = GENERAL

@@ -286,4 +286,5 @@ def lever_directions(path: AxisPath, in_plane: bool) -> np.ndarray:
     length = np.linalg.norm(along)
     if length < 0.5:
         return np.concatenate([path.mount[:2], -path.mount[:2]]) * [1.0, 1.0, 0.0]
-    return np.array([along, -along]) / length
+    ends: np.ndarray = np.array([along, -along]) / length
+    return ends

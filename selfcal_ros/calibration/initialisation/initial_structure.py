@@ -112,7 +112,8 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     # of ±t the better one counts
     votes = np.maximum((ahead_first & ahead_second).sum(-1),
                        (~ahead_first & ~ahead_second).sum(-1))
-    return candidates[np.arange(len(pairs)), np.argmax(votes, axis=1)]
+    chosen: np.ndarray = candidates[np.arange(len(pairs)), np.argmax(votes, axis=1)]
+    return chosen
 
 
 def _rays_of(pairs: list[tuple[np.ndarray, np.ndarray]], camera: Camera,
@@ -249,7 +250,7 @@ def spanning_order(pairs: list[PairGeometry], views: int) -> list[tuple[int, int
     return order
 
 
-def chained_rotations(pairs, relative: np.ndarray, views: int) -> np.ndarray:
+def chained_rotations(pairs: list[PairGeometry], relative: np.ndarray, views: int) -> np.ndarray:
     """Rotations of all views against view 0 along the spanning order, shape (V, 3, 3)."""
     rotations = np.tile(np.eye(3), (views, 1, 1))
     for k, old, new in spanning_order(pairs, views):
@@ -258,7 +259,8 @@ def chained_rotations(pairs, relative: np.ndarray, views: int) -> np.ndarray:
     return rotations
 
 
-def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) -> np.ndarray:
+def chained_centres(pairs: list[PairGeometry], camera: Camera, rotations: np.ndarray, planar: bool,
+                    ) -> np.ndarray:
     """
     Camera centres from known rotations, view by view.
 
@@ -323,7 +325,7 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
     return centres
 
 
-def _step_direction(d_old, d_new, planar) -> np.ndarray:
+def _step_direction(d_old: np.ndarray, d_new: np.ndarray, planar: bool) -> np.ndarray:
     """Unit direction (3,) of a translation that all rays agree with, by re-weighting."""
     if not len(d_old):
         # a supposed lens that sees no match of the pair: any direction, for the adjustment to mend

@@ -23,7 +23,7 @@ negative one if one of the two is mirrored.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -67,7 +67,8 @@ def mirrored_views(graph: ViewGraph) -> np.ndarray | None:
     agreeing = np.count_nonzero(sense * np.outer(side, side) > 0)
     if agreeing < AGREEING * np.count_nonzero(sense) or abs(side.sum()) == views:
         return None
-    return side == (1.0 if (side > 0).sum() <= views / 2 else -1.0)
+    turned: np.ndarray = side == (1.0 if (side > 0).sum() <= views / 2 else -1.0)
+    return turned
 
 
 def _copies(graph: ViewGraph) -> np.ndarray:
@@ -76,13 +77,14 @@ def _copies(graph: ViewGraph) -> np.ndarray:
     at = np.searchsorted(graph.frames, tracks.frame), np.unique(tracks.track,
                                                                 return_inverse=True)[1]
 
-    def table(values):
+    def table(values: np.ndarray) -> csr_array:
         return coo_array((values, at)).tocsr()
 
     seen, x, y = table(np.ones(len(tracks))), table(tracks.xy[:, 0]), table(tracks.xy[:, 1])
     own = table(np.sum(tracks.xy**2, axis=1)) @ seen.T
     away = own + own.T - 2 * (x @ x.T + y @ y.T)
-    return away.toarray() < COPY_PX**2 * (seen @ seen.T).toarray()
+    near: np.ndarray = away.toarray() < COPY_PX**2 * (seen @ seen.T).toarray()
+    return near
 
 
 def sense_of(pair: PairGeometry) -> float:

@@ -125,7 +125,7 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         No estimate where a plane was supposed that the motion leaves.
 
     """
-    def proposals():
+    def proposals() -> Iterator[Camera]:
         yield from first
         for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.bend,
                                                           FOCAL_SWEEP)):

@@ -20,6 +20,7 @@ matches, and beyond 90 degrees there is none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -208,7 +209,8 @@ def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
     # the worst pairs, the last of all the worst
     bad = np.argsort(left)[-_WORST_PAIRS:]
 
-    def left_px(coefficients, which=bad[-1]) -> float:
+    def left_px(coefficients: Sequence[float] | np.ndarray,
+                which: int | np.integer = bad[-1]) -> float:
         model = DivisionModel(tuple(coefficients), image_size)
         count = max(2 * len(samples[which][0]) - 8, 1)
         return float(np.sqrt(lifted_homography_cost(model, *samples[which]) / (4 * count)))

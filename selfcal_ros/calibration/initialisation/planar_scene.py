@@ -154,5 +154,6 @@ def separate(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return R, t
 
 
-def _centres(R, t) -> np.ndarray:
-    return -np.einsum('vji,vj->vi', R, t)
+def _centres(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    centres: np.ndarray = -np.einsum('vji,vj->vi', R, t)
+    return centres

@@ -23,7 +23,7 @@ from selfcal_ros.calibration.bundle.motion import MotionModel, NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.priors import Prior, Priors, start_lens
 from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.initialisation.initial_structure import (planar_start,
+from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry, planar_start,
                                                                       relative_rotations,
                                                                       spanning_order)
 from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
@@ -59,7 +59,7 @@ class SelfCalibrationProblem:
     """
 
     observations: Observations
-    pairs: list
+    pairs: list[PairGeometry]
     size: tuple[int, int]
     facts: CameraFacts
     noise_px: float

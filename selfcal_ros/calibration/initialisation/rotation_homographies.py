@@ -28,7 +28,7 @@ from selfcal_ros.values.tracks import Tracks
 MIN_MATCHES = 12
 
 
-def rotation_homographies(tracks: Tracks):
+def rotation_homographies(tracks: Tracks) -> tuple[np.ndarray, InfiniteHomographies, float]:
     """
     Homographies from one reference view to all that are joined with it, through others if need be.
 

@@ -15,10 +15,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.special import erf
@@ -96,7 +98,7 @@ class ViewGraph:
 
     frames: np.ndarray
     tracks: Tracks
-    pairs: list
+    pairs: list[PairGeometry]
     noise_px: float
     rejected: int
     parallax: float
@@ -140,7 +142,8 @@ def truncated_sigma(square: float, limit: float) -> float:
         limit / np.interp(share, expected[::-1], t[::-1]))
 
 
-def _threshold(lens: PairLens, F, samples, threshold_px: float) -> float:
+def _threshold(lens: PairLens, F: np.ndarray, samples: Sequence[Sample], threshold_px: float,
+               ) -> float:
     """Limit that cuts off gross errors but not the noise, which it would make look small."""
     square, freedom = 0.0, 0
     for one, (xy_a, xy_b) in zip(F, samples):
@@ -154,7 +157,8 @@ def _threshold(lens: PairLens, F, samples, threshold_px: float) -> float:
     return float(np.clip(NOISE_SIGMAS * sigma, threshold_px, WIDEST_THRESHOLD_PX))
 
 
-def _with_threshold(lens: PairLens, samples, compared) -> tuple[np.ndarray, float]:
+def _with_threshold(lens: PairLens, samples: list[Sample], compared: list[Sample],
+                    ) -> tuple[np.ndarray, float]:
     """Refine every pair on its inliers, with a limit that suits the noise of all pairs."""
     F, threshold_px = lens.refined(samples), EPIPOLAR_THRESHOLD_PX
     for _ in range(4):
@@ -195,11 +199,12 @@ def _least(common: int) -> int:
     return min(max(common, FEWEST_MATCHES), MINIMUM_MATCHES)
 
 
-def _components(pairs, count: int) -> np.ndarray:
+def _components(pairs: ArrayLike, count: int) -> np.ndarray:
     """Return the number of the connected set (count,) that every view belongs to."""
     first, second = np.reshape(pairs, (-1, 2)).T
     links = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
-    return connected_components(links, directed=False)[1]
+    component: np.ndarray = connected_components(links, directed=False)[1]
+    return component
 
 
 class _Compared(NamedTuple):
@@ -220,7 +225,8 @@ def _without_still(compared: list[_Compared], views: int) -> list[_Compared]:
     return moving if np.array_equal(before, after) else compared
 
 
-def _fitted(compared: list[_Compared], image_size, rng: np.random.Generator,
+def _fitted(compared: list[_Compared], image_size: tuple[int, int] | None,
+            rng: np.random.Generator,
             ) -> tuple[PairLens, np.ndarray, list[_Compared], float]:
     """Lens of all pairs, F (n, 3, 3) of those that have one, these pairs, and the limit."""
     # a stream of its own: whoever needs no lens draws as if there was none

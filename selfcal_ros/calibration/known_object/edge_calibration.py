@@ -31,7 +31,8 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
-from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.priors import (all_fixed, Prior, Priors, priors_from_facts,
+                                                   with_fixed)
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
@@ -40,6 +41,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
                                                                     jackknife_excess,
                                                                     segment_findings)
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -99,7 +101,7 @@ class EdgeViews:
     cam_from_object: np.ndarray
     image_size: tuple[int, int]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the arrays."""
         for name in ('frame', 'point', 'primitive'):
             object.__setattr__(self, name, np.asarray(getattr(self, name), np.int64).ravel())
@@ -139,7 +141,7 @@ class EdgeViews:
                        **{name: getattr(self, name)[mask] for name in (
                            'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
 
-    def bundle(self, priors, sigma_px: float) -> Bundle[ObjectState]:
+    def bundle(self, priors: Priors, sigma_px: float) -> Bundle[ObjectState]:
         """Return the adjustment of these edgels; sigma_px is that of a distance from an edge."""
         _, view = np.unique(self.frame, return_inverse=True)
         return Bundle(KnownEdges(self.points, self.tangents), view, view, self.xy, priors=priors,
@@ -255,7 +257,8 @@ def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
 def _offsets(bundle: Bundle[ObjectState], state: ObjectState) -> np.ndarray:
     """Residuals as vectors from the edgel to its edge, (N, 2) pixels."""
     edges = cast(KnownEdges, bundle.model)
-    return bundle.residuals(state) * edges.normals(state, bundle.view, bundle.xy)
+    distance: np.ndarray = bundle.residuals(state) * edges.normals(state, bundle.view, bundle.xy)
+    return distance
 
 
 def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
@@ -295,8 +298,8 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     return views, bundle, bundle.optimise(state, tolerance=1e-6)
 
 
-def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
-           facts: CameraFacts, size):
+def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
+           size: tuple[int, int]) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, str]]:
     """Return covariance, how much wider it is than for independent errors, findings and status."""
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)

@@ -145,7 +145,8 @@ def homography(plane: np.ndarray, xy: np.ndarray) -> np.ndarray | None:
         return None
     H = np.linalg.solve(B, vectors[:, 0].reshape(3, 3)) @ A
     ahead = homogeneous(plane) @ H[2]
-    return H / np.linalg.norm(H) * np.sign(ahead.sum() or 1.0)
+    oriented: np.ndarray = H / np.linalg.norm(H) * np.sign(ahead.sum() or 1.0)
+    return oriented
 
 
 def supposed_cameras(views: list[LinearView], size: tuple[int, int],
@@ -211,7 +212,8 @@ def _row(a: np.ndarray, b: np.ndarray) -> np.ndarray:
                      a[0] * b[2] + a[2] * b[0], a[1] * b[2] + a[2] * b[1], a[2] * b[2]])
 
 
-def _fact_rows(skew, aspect, point) -> list[np.ndarray]:
+def _fact_rows(skew: float | None, aspect: float | None, point: np.ndarray | None,
+               ) -> list[np.ndarray]:
     """Rows of what is known; a skew counts as zero, which it nearly is."""
     rows = []
     if skew is not None:

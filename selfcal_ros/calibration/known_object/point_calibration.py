@@ -40,7 +40,8 @@ from selfcal_ros.calibration.known_object.object_views import gathered_views, Ob
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovariance,
+                                                                    cluster_robust_covariance)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -189,8 +190,14 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         residuals=residuals)
 
 
-def _bent_fit(views: ObjectViews, fit: tuple, points: np.ndarray, sigma: float,
-              size: tuple[int, int]) -> tuple | None:
+#: How errors are shared, the covariance, and the status of every parameter.
+_Judgement = tuple[ClusterCovariance, np.ndarray, dict[str, str]]
+#: Views, bundle, state, facts with their distortion model, and judgement.
+_Fitted = tuple[ObjectViews, Bundle[ObjectState], ObjectState, CameraFacts, _Judgement]
+
+
+def _bent_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, sigma: float,
+              size: tuple[int, int]) -> _Fitted | None:
     """Return the fit with a board that may bend; None where the images do not determine it."""
     used, _, state, chosen, _ = fit
     free = may_bend(views.select(np.isin(views.frames, used.frames)[views.view]), points, sigma)
@@ -201,7 +208,7 @@ def _bent_fit(views: ObjectViews, fit: tuple, points: np.ndarray, sigma: float,
     return None if 'unobservable' in judgement[2].values() else (*bent, chosen, judgement)
 
 
-def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
+def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> _Fitted | NoEstimate:
     """Return views, bundle, state, facts with their distortion model and judgement."""
     found = _fit_family(views, size, facts)
     if facts.distortion != 'auto' or not _may_be_wide(views, found):
@@ -216,7 +223,7 @@ def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> tuple
     return other if gain > FAMILY_MARGIN else found
 
 
-def _may_be_wide(views: ObjectViews, fit: tuple | NoEstimate) -> bool:
+def _may_be_wide(views: ObjectViews, fit: _Fitted | NoEstimate) -> bool:
     """Tell whether points lie far from the axis of a fitted perspective, or do not fit it."""
     if isinstance(fit, NoEstimate):
         return True
@@ -225,7 +232,7 @@ def _may_be_wide(views: ObjectViews, fit: tuple | NoEstimate) -> bool:
     return len(used.view) < 0.9 * len(views.view) or not (angle < WIDE_ANGLE).all()
 
 
-def _misfit(views: ObjectViews, fit: tuple, sigma_px: float) -> float:
+def _misfit(views: ObjectViews, fit: _Fitted, sigma_px: float) -> float:
     """Sum of squared residuals over the variance, an outlier's share for what was left out."""
     used, bundle, state = fit[:3]
     square = np.sum(bundle.residuals(state)**2, axis=1) / sigma_px**2
@@ -234,11 +241,11 @@ def _misfit(views: ObjectViews, fit: tuple, sigma_px: float) -> float:
 
 
 def _fit_family(views: ObjectViews, size: tuple[int, int],
-                facts: CameraFacts) -> tuple | NoEstimate:
+                facts: CameraFacts) -> _Fitted | NoEstimate:
     """Fit the richest member of one family that the views determine; see `_fit`."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
-    found: tuple | NoEstimate = NoEstimate('no_fit_to_points')
+    found: _Fitted | NoEstimate = NoEstimate('no_fit_to_points')
     for name in names:
         chosen = replace(facts, distortion=name)
         bundle = views.bundle(priors_from_facts(chosen), 1.0)
@@ -259,7 +266,7 @@ def _fit_family(views: ObjectViews, size: tuple[int, int],
     return found
 
 
-def _start(views: ObjectViews, size, facts: CameraFacts) -> ObjectState:
+def _start(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> ObjectState:
     """Return the best of the supposed cameras after a short, held adjustment of a few points."""
     rank = np.arange(len(views.view)) - np.searchsorted(views.view, views.view)
     count = np.bincount(views.view)[views.view]
@@ -320,8 +327,8 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
     return views, bundle, state
 
 
-def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState,
-           facts: CameraFacts, size):
+def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
+           size: tuple[int, int]) -> _Judgement:
     """Return how far errors are shared, the covariance, and every parameter's status."""
     # the shape of a board with the lens: what moves the one moves the other
     information = replace(bundle.information(state), lens=bundle.unknowns.shared)
@@ -334,7 +341,7 @@ def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState,
 
 
 def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-                       size) -> dict[str, str]:
+                       size: tuple[int, int]) -> dict[str, str]:
     """
     Return the parameters that the same views leave open where the lens does not distort.
 

@@ -61,7 +61,7 @@ class MonitorSettings:
     tolerance_px: float = 0.25
     tolerance_deg: float = 0.03
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible values."""
         if not 4 <= self.keyframes <= 100:
             raise ArgumentError('A window of the monitor has 4 to 100 keyframes, '

@@ -138,7 +138,7 @@ class ChangeMonitor(SequentialMonitor):
                 and score.variance_inflation < UNUSUAL_INFLATION * usual.variance_inflation
                 and score.still > MOSTLY_STILL)
 
-    def _changed(self, change) -> Camera:
+    def _changed(self, change: np.ndarray) -> Camera:
         """Return the camera in force after a change (3,), within reason."""
         camera = self.calibration.camera
         lens, reach = Lens.of(camera), 0.25 * np.hypot(camera.width, camera.height)

@@ -65,7 +65,8 @@ class MountChange:
     @property
     def degrees(self) -> np.ndarray:
         """The turn in degrees, shape (3,)."""
-        return np.degrees(self.turn)
+        turn_deg: np.ndarray = np.degrees(self.turn)
+        return turn_deg
 
     @property
     def sigma_degrees(self) -> np.ndarray:

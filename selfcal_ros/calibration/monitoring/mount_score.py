@@ -71,7 +71,7 @@ class MountScore:
 
     """
 
-    frames: tuple
+    frames: tuple[int, ...]
     information: np.ndarray
     shift: np.ndarray
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.monitoring.sequential_test import Departure, SequentialTest
+from selfcal_ros.calibration.monitoring.sequential_test import _Block, Departure, SequentialTest
 from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
 
 #: Share of the windows' scatter, as a variance, that a change has to exceed.
@@ -81,7 +81,7 @@ class SequentialMonitor:
         return self._test.discarded
 
     @property
-    def remembered(self) -> list:
+    def remembered(self) -> list[_Block]:
         """The evidence so far, in blocks."""
         return self._test.blocks
 

@@ -121,7 +121,7 @@ class SequentialTest:
         """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
         return float(chi2_isf(self._chance / moments, len(self._changes)))
 
-    def add(self, information: np.ndarray, shift: np.ndarray, frames: tuple, score: Any,
+    def add(self, information: np.ndarray, shift: np.ndarray, frames: tuple[int, ...], score: Any,
             stands: bool) -> Departure | None:
         """
         Take a window, and test every moment that the blocks leave.

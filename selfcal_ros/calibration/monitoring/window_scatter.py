@@ -109,7 +109,7 @@ class WindowScatter:
         # the mean takes its share of the freedom
         share = (count - 1) / count
 
-        def scatter(factor):
+        def scatter(factor: float) -> tuple[float, np.ndarray]:
             weights = np.linalg.inv(covariances + factor * np.diag(self._least))
             mean = np.linalg.solve(weights.sum(axis=0),
                                    np.einsum('nij,nj->i', weights, steps))

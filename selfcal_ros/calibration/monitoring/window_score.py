@@ -78,7 +78,7 @@ class WindowScore:
 
     """
 
-    frames: tuple
+    frames: tuple[int, ...]
     at: np.ndarray
     step: np.ndarray
     information: np.ndarray
@@ -177,7 +177,8 @@ def without_camera(bundle: Bundle[SceneState], free: tuple[str, ...]) -> Bundle[
     return bundle.with_priors(bundle.priors.without(free))
 
 
-def shared_within_tracks(told: Information, point, places, information) -> float:
+def shared_within_tracks(told: Information, point: np.ndarray, places: np.ndarray,
+                         information: np.ndarray) -> float:
     """Variance of sums of influences over tracks, over that of independent errors."""
     points = int(point.max()) + 1
     sums = np.stack([np.bincount(point, column, points)

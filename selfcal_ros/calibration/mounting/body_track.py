@@ -136,8 +136,9 @@ class BodyTrack:
     def known(self, offset: float = 0.0, margin: float = 0.0) -> np.ndarray:
         """Tell which images have a pose, and keep it if the offset moves by a margin; (V,)."""
         if not self.timed:
-            return self._known
-        inside = self._known.copy()
+            known: np.ndarray = self._known
+            return known
+        inside: np.ndarray = self._known.copy()
         for shift in (-margin, 0.0, margin):
             when = self._instants - offset + shift
             k = np.searchsorted(self._times, when, side='right').clip(1, len(self._times) - 1)

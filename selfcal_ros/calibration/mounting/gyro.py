@@ -141,7 +141,7 @@ class _Fit:
     doubtful: int
 
 
-def _misfit(gyro: RateSteps, views: _Views, R, bias, offset_s: float,
+def _misfit(gyro: RateSteps, views: _Views, R: np.ndarray, bias: np.ndarray, offset_s: float,
             ) -> tuple[np.ndarray, np.ndarray]:
     """Return residuals (M, 3) and their derivatives by turn, bias and offset (M, 3, 7)."""
     turned, by_bias, by_offset = gyro.less(bias).between(views.instants - offset_s,
@@ -214,7 +214,8 @@ def _estimate(gyro: RateSteps, views: _Views) -> _Fit | NoEstimate:
     return replace(fit, doubtful=dropped)
 
 
-def _adjusted(gyro: RateSteps, views: _Views, R, bias, offset_s: float) -> _Fit:
+def _adjusted(gyro: RateSteps, views: _Views, R: np.ndarray, bias: np.ndarray, offset_s: float,
+              ) -> _Fit:
     """Adjust all from a start, by Gauss-Newton steps."""
     for _ in range(ITERATIONS):
         residual, slopes = _misfit(gyro, views, R, bias, offset_s)
@@ -232,10 +233,11 @@ def _spread(views: _Views, density: float) -> np.ndarray:
     J = views.by_unknowns.reshape(-1, views.by_unknowns.shape[2])
     S = J @ J.T
     S[np.diag_indices_from(S)] += np.repeat(density**2 * views.lasting_s, 3)
-    return S
+    spread: np.ndarray = S
+    return spread
 
 
-def _density(views: _Views, residual, slopes) -> float:
+def _density(views: _Views, residual: np.ndarray, slopes: np.ndarray) -> float:
     """Estimate the density of the gyro's noise, rad/√s, by restricted likelihood."""
     J, r = slopes.reshape(-1, slopes.shape[2]), residual.ravel()
 
@@ -253,7 +255,8 @@ def _density(views: _Views, residual, slopes) -> float:
                                         method='bounded', options={'xatol': 0.02}).x))
 
 
-def _solved(views: _Views, residual, slopes, density: float) -> tuple:
+def _solved(views: _Views, residual: np.ndarray, slopes: np.ndarray, density: float,
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return a Gauss-Newton step (7,) with its covariance, and what it says of the images."""
     J, r = slopes.reshape(-1, slopes.shape[2]), residual.ravel()
     factor = cho_factor(_spread(views, density))

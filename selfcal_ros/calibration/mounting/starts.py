@@ -70,7 +70,7 @@ def pairs_of(camera: CameraPoses, body: BodyAt) -> Pairs:
     first = np.concatenate([np.arange(views - lag) for lag in LAGS if lag < views])
     second = np.concatenate([np.arange(lag, views) for lag in LAGS if lag < views])
 
-    def relative(rotation, place):
+    def relative(rotation: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         back = np.swapaxes(rotation[first], 1, 2)
         return (rotation_vector(back @ rotation[second]),
                 np.einsum('vij,vj->vi', back, place[second] - place[first]))
@@ -156,7 +156,8 @@ def _robust_solution(A: np.ndarray, y: np.ndarray) -> np.ndarray:
         x = np.linalg.lstsq((A * root[:, None, None]).reshape(-1, count),
                             (y * root[:, None]).ravel(), rcond=_OPEN)[0]
         weights = _weights(np.linalg.norm(y - A @ x, axis=1))
-    return x
+    solved: np.ndarray = x
+    return solved
 
 
 def _place_and_scale(pairs: Pairs, M: np.ndarray, is_metric: bool) -> tuple[np.ndarray, float]:

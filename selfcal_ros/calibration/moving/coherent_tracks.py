@@ -102,7 +102,8 @@ def _best_half(observations: Observations, state: SceneState, motion: MotionMode
     ordered = observations.view[order]
     rank = np.arange(len(order)) - np.searchsorted(ordered, ordered)
     half[observations.point[order[rank < LEAST_OF_VIEW]]] = True
-    return half & np.isfinite(left)
+    coherent: np.ndarray = half & np.isfinite(left)
+    return coherent
 
 
 def _of_all(fit: RobustFit, observations: Observations) -> RobustFit | None:

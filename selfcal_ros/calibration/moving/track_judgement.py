@@ -75,7 +75,8 @@ class TrackTest:
 
 def freedom_of(count: np.ndarray) -> np.ndarray:
     """Degrees of freedom that so many views of one point leave."""
-    return np.maximum(2 * count - 3, 0)
+    freedom: np.ndarray = np.maximum(2 * count - 3, 0)
+    return freedom
 
 
 def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Observations,

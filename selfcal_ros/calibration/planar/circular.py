@@ -23,6 +23,7 @@ principal point on m, so that m is n: then the principal point must be known as 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.planar.conic_covariance import K_ENTRIES
 from selfcal_ros.calibration.planar.conic_pencil import PencilCalibration
@@ -34,7 +35,8 @@ from selfcal_ros.geometry.projective import iac_from_calibration
 OFFSET_LIMIT = 0.02
 
 
-def calibrate_circular(circular_point, screw_axis, facts: CameraFacts, covariance=None):
+def calibrate_circular(circular_point: ArrayLike, screw_axis: ArrayLike, facts: CameraFacts,
+                       covariance: ArrayLike | None = None) -> PencilCalibration | NoEstimate:
     """
     Find the camera of known pixel shape in which the pole of the horizon lies on m.
 
@@ -62,12 +64,13 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts, covarianc
     if not abs(i[2]) > 1e-12 * np.abs(i).max():
         return NoEstimate('circular_points_at_infinity')
     scale, stated = i[2], i
+    axis = np.asarray(screw_axis, float)
     i = i[:2] / scale
     shear = 0.0
     # the skew is known in pixels but enters in focal lengths: a few rounds settle it
     for _ in range(20):
         square = np.array([[facts.aspect_ratio, -shear, 0], [0, 1, 0], [0, 0, 1]])
-        found = _square_pixels(square[:2, :2] @ i, np.linalg.solve(square.T, screw_axis),
+        found = _square_pixels(square[:2, :2] @ i, np.linalg.solve(square.T, axis),
                                None if facts.principal_point is None else
                                square[:2, :2] @ facts.principal_point)
         if isinstance(found, NoEstimate):
@@ -78,12 +81,14 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts, covarianc
             break
         shear = new
     fact = 'aspect_ratio+skew' + ('+principal_point' if facts.principal_point else '')
+    spread = None
     if covariance is not None:
-        covariance = _covariance(K, stated, screw_axis, square, facts, covariance)
-    return PencilCalibration(K, iac_from_calibration(K), fact, {}, covariance)
+        spread = _covariance(K, stated, axis, square, facts, np.asarray(covariance, float))
+    return PencilCalibration(K, iac_from_calibration(K), fact, {}, spread)
 
 
-def _covariance(K, i, axis, square, facts, covariance) -> np.ndarray:
+def _covariance(K: np.ndarray, i: np.ndarray, axis: np.ndarray, square: np.ndarray,
+                facts: CameraFacts, covariance: np.ndarray) -> np.ndarray:
     """
     Covariance (5, 5) of fx, fy, cx, cy, skew; see `conic_covariance`.
 
@@ -131,10 +136,12 @@ def _covariance(K, i, axis, square, facts, covariance) -> np.ndarray:
     sigmas = np.r_[facts.aspect_ratio_sigma, facts.skew_sigma_px,
                    facts.principal_point_sigma_px, facts.principal_point_sigma_px]
     by_facts = slopes[:, 9:] * sigmas
-    return slopes[:, :9] @ covariance @ slopes[:, :9].T + by_facts @ by_facts.T
+    spread: np.ndarray = slopes[:, :9] @ covariance @ slopes[:, :9].T + by_facts @ by_facts.T
+    return spread
 
 
-def _square_pixels(i, axis, principal_point):
+def _square_pixels(i: np.ndarray, axis: np.ndarray, principal_point: np.ndarray | None,
+                   ) -> np.ndarray | NoEstimate:
     """K in a frame with square pixels, from i as (2,) complex, m, and maybe (u0, v0)."""
     middle, reach = i.real, np.linalg.norm(i.imag)
     across = np.array([-i.imag[1], i.imag[0]]) / max(reach, 1e-300)

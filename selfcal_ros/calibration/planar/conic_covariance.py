@@ -20,9 +20,14 @@ facts, K with omega by the derivative of Cholesky's factor. All of it in closed 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from selfcal_ros.calibration.result import FixedPoints
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.projective import cross_matrix
 
 #: Spread given to an exact fact when it must be weighed against another: aspect ratio, skew
@@ -33,7 +38,7 @@ EXACT_SIGMAS = {'aspect_ratio': 1e-3, 'skew': 1e-3, 'principal_point': 1e-3}
 K_ENTRIES = np.array([(0, 0), (1, 1), (0, 2), (1, 2), (0, 1)]).T
 
 
-def calibration_slopes(K, omega, change) -> np.ndarray:
+def calibration_slopes(K: np.ndarray, omega: np.ndarray, change: np.ndarray) -> np.ndarray:
     """
     Derivative of K by omega = s (K K^T)^-1 along given changes of omega.
 
@@ -54,11 +59,14 @@ def calibration_slopes(K, omega, change) -> np.ndarray:
     scale = (K.T @ omega @ K)[2, 2]
     M = K.T @ change @ K / scale
     M = M - M[:, 2:, 2:] * np.eye(3)
-    return -K @ (np.triu(M, 1) + 0.5 * np.eye(3) * M)
+    slopes: np.ndarray = -K @ (np.triu(M, 1) + 0.5 * np.eye(3) * M)
+    return slopes
 
 
-def calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
-                           covariance) -> np.ndarray:
+def calibration_covariance(K: np.ndarray, C: np.ndarray, ll: np.ndarray, mu: float,
+                           fixed: FixedPoints, working: FixedPoints, T: np.ndarray,
+                           known: Sequence[str], facts: CameraFacts, covariance: ArrayLike,
+                           ) -> np.ndarray:
     """
     Covariance of fx, fy, cx, cy, skew.
 
@@ -106,10 +114,12 @@ def calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
     weight = along / (along @ along)
     total = by_points - np.outer(by_mu, weight @ facts_by_K @ by_points)
     by_facts = np.outer(by_mu, weight @ free)
-    return total @ covariance @ total.T + by_facts @ by_facts.T
+    spread: np.ndarray = total @ covariance @ total.T + by_facts @ by_facts.T
+    return spread
 
 
-def fact_slopes(K, known, facts, upper) -> tuple[np.ndarray, np.ndarray]:
+def fact_slopes(K: np.ndarray, known: Sequence[str], facts: CameraFacts, upper: np.ndarray,
+                ) -> tuple[np.ndarray, np.ndarray]:
     """
     Derivative of the facts' residuals, in their sigmas, by fx, fy, cx, cy, skew.
 

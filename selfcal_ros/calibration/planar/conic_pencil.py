@@ -20,9 +20,11 @@ fact gives mu. All work is done in a frame in which i lies near (0, 0) at unit d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.planar.conic_covariance import calibration_covariance, EXACT_SIGMAS
 from selfcal_ros.calibration.result import FixedPoints
@@ -63,7 +65,7 @@ class PencilCalibration:
     K: np.ndarray
     omega: np.ndarray
     fact: str
-    leverage: dict
+    leverage: dict[str, float]
     covariance: np.ndarray | None = None
 
 
@@ -86,7 +88,7 @@ def conic_pencil(fixed: FixedPoints) -> tuple[np.ndarray, np.ndarray]:
     return C / np.linalg.norm(C), ll / np.linalg.norm(ll)
 
 
-def _working_frame(fixed: FixedPoints):
+def _working_frame(fixed: FixedPoints) -> tuple[np.ndarray, FixedPoints]:
     """Similarity T to the working frame, and the fixed points in it."""
     i = fixed.circular_point / fixed.circular_point[2]
     scale = 1 / max(float(np.linalg.norm(i.imag)), 1e-300)
@@ -97,13 +99,13 @@ def _working_frame(fixed: FixedPoints):
     return T, FixedPoints(line / np.linalg.norm(line), T @ fixed.vanishing_point, circular)
 
 
-def _values(K) -> dict:
+def _values(K: np.ndarray) -> dict[str, np.ndarray]:
     """What the facts speak of, without dimension."""
     return {'aspect_ratio': np.array([K[1, 1] / K[0, 0]]), 'skew': np.array([K[0, 1] / K[0, 0]]),
             'principal_point': K[:2, 2] / K[0, 0]}
 
 
-def mu_from_skew(C, ll, shear: float = 0.0) -> list[float]:
+def mu_from_skew(C: np.ndarray, ll: np.ndarray, shear: float = 0.0) -> list[float]:
     """
     Member with the skew shear * fy; without it (5.7). None if the horizon is exactly level.
 
@@ -113,7 +115,7 @@ def mu_from_skew(C, ll, shear: float = 0.0) -> list[float]:
     return [-(C[0, 1] + shear * C[0, 0]) / below] if below != 0 else []
 
 
-def mu_from_aspect(C, ll, aspect_ratio: float) -> list[float]:
+def mu_from_aspect(C: np.ndarray, ll: np.ndarray, aspect_ratio: float) -> list[float]:
     """
     Members with the aspect ratio, for any skew: omega11^2 = ratio^2 det2(omega).
 
@@ -129,10 +131,11 @@ def mu_from_aspect(C, ll, aspect_ratio: float) -> list[float]:
     if abs(quadratic[0]) < 1e-13 * abs(quadratic[1]):
         return [-quadratic[2] / quadratic[1]] if quadratic[1] else []
     roots = np.roots(quadratic)
-    return roots[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))].real.tolist()
+    found: list[float] = roots[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))].real.tolist()
+    return found
 
 
-def mu_from_principal_point(C, ll, point) -> list[float]:
+def mu_from_principal_point(C: np.ndarray, ll: np.ndarray, point: np.ndarray) -> list[float]:
     """Member with the principal point: two linear equations, least squares (5.9)."""
     x = np.array([*point, 1.0])
     a, b = (C @ x)[:2], (ll @ x)[:2]
@@ -140,30 +143,31 @@ def mu_from_principal_point(C, ll, point) -> list[float]:
     return [-(a @ b) / below] if below else []
 
 
-def _camera(C, ll, mu):
+def _camera(C: np.ndarray, ll: np.ndarray, mu: float) -> np.ndarray | NoEstimate:
     return calibration_from_iac(C + mu * ll)
 
 
-def _slopes(C, ll, mu) -> dict:
+def _slopes(C: np.ndarray, ll: np.ndarray, mu: float) -> dict[str, np.ndarray]:
     """Derivative of the facts' values along the pencil, per unit change of the camera."""
     step = 1e-6 * max(abs(mu), 1e-3)
-    sides = [_camera(C, ll, mu + s) for s in (step, -step)]
-    if any(isinstance(side, NoEstimate) for side in sides):
+    one, other = (_camera(C, ll, mu + s) for s in (step, -step))
+    if isinstance(one, NoEstimate) or isinstance(other, NoEstimate):
         return {name: np.zeros(1) for name in EXACT_SIGMAS}
-    first, second = map(_values, sides)
+    first, second = _values(one), _values(other)
     change = {name: first[name] - second[name] for name in first}
-    focal = np.log(np.diag(sides[0])[:2] / np.diag(sides[1])[:2])
+    focal = np.log(np.diag(one)[:2] / np.diag(other)[:2])
     size = np.linalg.norm([*focal, *change['skew'], *change['principal_point']])
     return {name: value / max(size, 1e-300) for name, value in change.items()}
 
 
-def _leverage(slope) -> float:
+def _leverage(slope: np.ndarray) -> float:
     size = float(np.linalg.norm(slope))
     return 1 / size if size > 1e-9 else float('inf')
 
 
 def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: str | None = None,
-                                covariance=None):
+                                covariance: ArrayLike | None = None,
+                                ) -> PencilCalibration | NoEstimate:
     """
     Pick the camera of the pencil that agrees with what is known (5.7-5.9).
 
@@ -230,7 +234,8 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage, covariance)
 
 
-def _closed_form(name, C, ll, facts, T):
+def _closed_form(name: str, C: np.ndarray, ll: np.ndarray, facts: CameraFacts, T: np.ndarray,
+                 ) -> list[float]:
     if name == 'skew':
         shear, found = 0.0, []
         # the skew is known in pixels but enters in focal lengths: a few rounds settle it
@@ -245,16 +250,20 @@ def _closed_form(name, C, ll, facts, T):
             shear = new
         return found
     if name == 'aspect_ratio':
+        assert facts.aspect_ratio is not None
         return mu_from_aspect(C, ll, facts.aspect_ratio)
+    assert facts.principal_point is not None
     return mu_from_principal_point(C, ll, (T @ [*facts.principal_point, 1.0])[:2])
 
 
-def _residuals(K, known, facts, T):
+def _residuals(K: np.ndarray, known: Sequence[str], facts: CameraFacts, T: np.ndarray,
+               ) -> np.ndarray:
     """Deviations from the facts in sigmas."""
     values, focal_px = _values(K), K[0, 0] / T[0, 0]
     out = []
     for name in known:
         if name == 'principal_point':
+            assert facts.principal_point is not None
             target = (T @ [*facts.principal_point, 1.0])[:2] / K[0, 0]
             sigma = facts.principal_point_sigma_px / focal_px
         elif name == 'skew':
@@ -265,16 +274,18 @@ def _residuals(K, known, facts, T):
     return np.concatenate(out)
 
 
-def _misfit(K, known, facts, T) -> float:
+def _misfit(K: np.ndarray, known: Sequence[str], facts: CameraFacts, T: np.ndarray) -> float:
     return float((_residuals(K, known, facts, T) ** 2).sum())
 
 
-def _weighed(C, ll, mu, known, facts, T):
+def _weighed(C: np.ndarray, ll: np.ndarray, mu: float, known: Sequence[str], facts: CameraFacts,
+             T: np.ndarray) -> float:
     """Least squares over the facts along the pencil, by Gauss-Newton on one parameter."""
     for _ in range(20):
         step = 1e-6 * max(abs(mu), 1e-3)
-        sides = [_camera(C, ll, m) for m in (mu, mu + step, mu - step)]
-        if any(isinstance(K, NoEstimate) for K in sides):
+        sides = [K for m in (mu, mu + step, mu - step)
+                 if not isinstance(K := _camera(C, ll, m), NoEstimate)]
+        if len(sides) < 3:
             break
         r, above, below = (_residuals(K, known, facts, T) for K in sides)
         slope = (above - below) / (2 * step)

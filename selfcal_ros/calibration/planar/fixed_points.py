@@ -23,6 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.planar.circular import calibrate_circular
 from selfcal_ros.calibration.planar.conic_pencil import (calibrate_from_fixed_points,
@@ -35,6 +36,7 @@ from selfcal_ros.calibration.planar.triplets import choose_triplets, dense_track
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry import planar_batch, planar_pairs
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -101,9 +103,10 @@ class FixedPointEstimate:
     findings: tuple[Finding, ...] = ()
 
 
-def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: int = 24,
-                 least_common: int = 12, trim_sigma: float = 4.0, most_matches: int = 300,
-                 rng=None):
+def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: str = 'batch',
+                 limit: int = 24, least_common: int = 12, trim_sigma: float = 4.0,
+                 most_matches: int = 300, rng: np.random.Generator | None = None,
+                 ) -> FixedPointEstimate | NoEstimate:
     """
     Estimate the fixed points of planar motion from tracks in undistorted pixels.
 
@@ -181,7 +184,8 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
         frames[combined.triplets], combined.kappas, found.screw_axis, findings)
 
 
-def calibrate_estimate(estimate: FixedPointEstimate, facts):
+def calibrate_estimate(estimate: FixedPointEstimate, facts: CameraFacts,
+                       ) -> PencilCalibration | NoEstimate:
     """
     Pick the camera that agrees with the facts, by the rule that fits the motion.
 
@@ -211,7 +215,9 @@ class _Pairs:
     variance: float
 
 
-def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
+def _horizon_and_point(data: PairMatches, wanted: np.ndarray, both: list[np.ndarray],
+                       identity: np.ndarray, method: str, trim_sigma: float,
+                       ) -> _Pairs | NoEstimate:
     """Find the sound pairs, l and v, the motion, and the observations that were left out."""
     F, cost, _, _ = refine_general(data, eight_point(data))
     F, cost, state, planar_cost = agreed_pairs(data, F, cost)
@@ -246,7 +252,8 @@ def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
     lines = planar_pairs.pair_lines(data, state, planar_cost)
     axis, axis_moved, chi2 = mean_screw_axis(lines)
 
-    def in_pixels(carry, vector, by_match):
+    def in_pixels(carry: np.ndarray, vector: np.ndarray, by_match: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray]:
         """Carry a vector of normalised coordinates and its influences over."""
         x, slope = unit_slope(carry, vector)
         by_match = np.stack([by_match[..., :2], by_match[..., 2:]], axis=2)
@@ -280,7 +287,7 @@ def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
                   motion, screw_axis, unused, influence, variance)
 
 
-def student_variance(data: PairMatches, observed, noise_px: float) -> float:
+def student_variance(data: PairMatches, observed: np.ndarray, noise_px: float) -> float:
     """
     Variance of an image coordinate for covariances, when it is itself an estimate.
 
@@ -307,7 +314,8 @@ def student_variance(data: PairMatches, observed, noise_px: float) -> float:
     return noise_px ** 2 * freedom / (freedom - 2)
 
 
-def _without_gross_errors(data, xy, wanted, both, rng):
+def _without_gross_errors(data: PairMatches, xy: np.ndarray, wanted: np.ndarray,
+                          both: list[np.ndarray], rng: np.random.Generator) -> PairMatches:
     """Leave out what RANSAC calls outliers, pair by pair."""
     weight = data.weight.copy()
     for k, ((a, b), tracks_of) in enumerate(zip(wanted, both)):
@@ -317,7 +325,8 @@ def _without_gross_errors(data, xy, wanted, both, rng):
     return PairMatches(data.first, data.second, weight, data.transform)
 
 
-def _trimmed(data, F, cost, trim_sigma):
+def _trimmed(data: PairMatches, F: np.ndarray, cost: np.ndarray, trim_sigma: float,
+             ) -> tuple[PairMatches, np.ndarray, np.ndarray]:
     """Leave out matches far from their epipolar lines and refine F once more."""
     residuals = pair_residuals(data, F)
     distance = np.sqrt((residuals ** 2).sum(axis=-1) / 2)

@@ -32,7 +32,8 @@ from selfcal_ros.geometry.two_view_tests import FLOOR_PX
 AGREEMENT = 1.1
 
 
-def best_batch(data: PairMatches, state, planar_cost):
+def best_batch(data: PairMatches, state: tuple[np.ndarray, ...], planar_cost: np.ndarray,
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """
     Refine the batch form; from a second start where the first ends far above the pairs' own.
 
@@ -54,7 +55,8 @@ def best_batch(data: PairMatches, state, planar_cost):
     return found
 
 
-def agreed_pairs(data: PairMatches, F, cost):
+def agreed_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
     """
     Refine pairs in planar form, and those anew that fit worse than all pairs together do.
 
@@ -102,7 +104,8 @@ def line_covariances(lines: PairLines) -> tuple[np.ndarray, np.ndarray]:
     return tuple(factor * covariance for covariance in lines.covariances)
 
 
-def mean_line(vectors, covariances, influences):
+def mean_line(vectors: np.ndarray, covariances: np.ndarray, influences: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray]:
     """
     Covariance-weighted mean of lines that should be equal, and how it moves with the matches.
 
@@ -129,7 +132,8 @@ def mean_line(vectors, covariances, influences):
     return mean, signed[:, None] @ influences
 
 
-def common_point(axes, covariances, influences):
+def common_point(axes: np.ndarray, covariances: np.ndarray, influences: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Point v that minimises sum (m v)^2 / variance over lines m (C.5), and how it moves.
 
@@ -147,7 +151,7 @@ def common_point(axes, covariances, influences):
     return v, -np.einsum('in,nmc->nmic', inverse @ (axes * weight[:, None]).T, moved)
 
 
-def mean_screw_axis(lines: PairLines):
+def mean_screw_axis(lines: PairLines) -> tuple[np.ndarray, np.ndarray, float]:
     """
     Mean screw axis, and how far the pairs' own ones deviate from it.
 

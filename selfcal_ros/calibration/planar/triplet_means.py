@@ -21,6 +21,7 @@ of the canonical coordinates by the pixels, and by l and v.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,8 +57,9 @@ class CombinedTriplets:
     by_frame: np.ndarray
 
 
-def combine_triplets(xy, H, line, point, triplets, identity, least_common: int,
-                     most_matches: int):
+def combine_triplets(xy: np.ndarray, H: np.ndarray, line: np.ndarray, point: np.ndarray,
+                     triplets: Sequence[np.ndarray], identity: np.ndarray, least_common: int,
+                     most_matches: int) -> CombinedTriplets | NoEstimate:
     """
     Circular points of every triplet, and their robust covariance-weighted mean.
 
@@ -121,7 +123,8 @@ def combine_triplets(xy, H, line, point, triplets, identity, least_common: int,
                             np.einsum('tij,tjk->ik', weights, np.array(by_frame)))
 
 
-def robust_mean(values, covariances, cutoff: float = 3.0):
+def robust_mean(values: np.ndarray, covariances: np.ndarray, cutoff: float = 3.0,
+                ) -> tuple[np.ndarray, np.ndarray]:
     """
     Start from the weighted median, then iterate Huber weights on Mahalanobis distances.
 
@@ -157,7 +160,9 @@ def robust_mean(values, covariances, cutoff: float = 3.0):
     return mean, weights
 
 
-def circular_point_influence(kappa: complex, H, line, point, kappa_moved, frame_moved):
+def circular_point_influence(kappa: complex, H: np.ndarray, line: np.ndarray, point: np.ndarray,
+                             kappa_moved: np.ndarray, frame_moved: np.ndarray,
+                             ) -> tuple[np.ndarray, np.ndarray]:
     """
     Image of the circular point, and its change.
 

@@ -41,7 +41,7 @@ def dense_tracks(tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return frames, identity, xy
 
 
-def choose_triplets(xy, limit: int = 24, least_common: int = 12) -> np.ndarray:
+def choose_triplets(xy: np.ndarray, limit: int = 24, least_common: int = 12) -> np.ndarray:
     """
     Choose triplets of views with many common points and much image motion.
 
@@ -66,7 +66,7 @@ def choose_triplets(xy, limit: int = 24, least_common: int = 12) -> np.ndarray:
         gaps = np.unique(np.geomspace(1, (views - 1) // 2, 14).astype(int))
         chosen = [(i, i + g, i + 2 * g) for g in gaps
                   for i in range(0, views - 2 * g, max(1, g // 2, views // 100))]
-    candidates = np.array(chosen, int).reshape(-1, 3)
+    candidates: np.ndarray = np.array(chosen, int).reshape(-1, 3)
     seen = np.isfinite(xy[..., 0])
     common = seen[candidates[:, 0]] & seen[candidates[:, 1]] & seen[candidates[:, 2]]
     count = common.sum(axis=1)
@@ -87,4 +87,5 @@ def choose_triplets(xy, limit: int = 24, least_common: int = 12) -> np.ndarray:
     for s in np.unique(stretch):
         of = np.flatnonzero(stretch == s)
         rank[of[np.argsort(-score[of], kind='stable')]] = np.arange(len(of))
-    return candidates[np.lexsort((-score, rank))[:limit]]
+    best: np.ndarray = candidates[np.lexsort((-score, rank))[:limit]]
+    return best

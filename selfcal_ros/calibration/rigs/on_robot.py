@@ -27,6 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.mounting.disagreement import WRONG
 from selfcal_ros.calibration.reconstruction import Reconstruction
@@ -106,7 +107,7 @@ def _in_metres(rig: RigCalibration, metres: float, sigma: float) -> RigCalibrati
                    reconstruction=next(iter(cameras.values())).reconstructed)
 
 
-def _places(pose: CameraInRig, metres: float, sigma: float) -> tuple:
+def _places(pose: CameraInRig, metres: float, sigma: float) -> tuple[PlaceAlong, ...]:
     """Return what is known of an open place, in metres."""
     return tuple(replace(one, value=metres * one.value,
                          sigma=float(np.hypot(metres * one.sigma, one.value * sigma)))

@@ -149,7 +149,8 @@ def pose_covariances(precision: PosePrecision, stated: np.ndarray) -> np.ndarray
     covariance += np.einsum('vik,kl,vjl->vij', pull, more, pull)
     if precision.own is not None:
         covariance += precision.own
-    return (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    symmetric: np.ndarray = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    return symmetric
 
 
 def with_shared_errors(precision: PosePrecision, stated: np.ndarray) -> np.ndarray:

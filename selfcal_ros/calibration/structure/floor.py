@@ -125,7 +125,8 @@ def _by_camera(calibration: Calibration, tracks: np.ndarray, design: np.ndarray)
     X = shape.precision.points[rows]
     height = weights @ (X[:, 2] / X[:, 3])
     slope = weights[:, None] * [0.0, 0.0, 1.0]
-    return by_camera_and_path(shape.precision, rows, slope, calibration.covariance) / abs(height)
+    sigma = by_camera_and_path(shape.precision, rows, slope, calibration.covariance)
+    return float(sigma / abs(height))
 
 
 def _fullest(depth: np.ndarray, sigma: np.ndarray) -> float:
@@ -142,7 +143,8 @@ def _from_path(places: np.ndarray, path: np.ndarray) -> np.ndarray:
     length = np.maximum((along**2).sum(axis=1), 1e-12)
     from_start = places[:, None] - start
     share = (np.einsum('nsi,si->ns', from_start, along) / length).clip(0, 1)
-    return np.linalg.norm(from_start - share[..., None] * along, axis=2).min(axis=1)
+    away: np.ndarray = np.linalg.norm(from_start - share[..., None] * along, axis=2).min(axis=1)
+    return away
 
 
 def _plane(design: np.ndarray, depth: np.ndarray, sigma: np.ndarray,

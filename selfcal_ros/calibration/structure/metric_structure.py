@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.mount import Mount
@@ -141,7 +142,8 @@ def metres_a_step(calibration: Calibration) -> float | None:
 
 def _centres(poses: np.ndarray) -> np.ndarray:
     """Return the camera centres of [R | t], shape (V, 3)."""
-    return -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    centres: np.ndarray = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    return centres
 
 
 def world_and_scale(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]:
@@ -189,9 +191,10 @@ def middle_steps(centres: np.ndarray) -> list[int]:
     return [int(k) for k in middle if steps[k] > 0]
 
 
-def _point_covariances(calibration, tracks, poses, points):
+def _point_covariances(calibration: Calibration, tracks: Tracks, poses: np.ndarray,
+                       points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (P, 3, 3) of points, NaN where unknown, and their least distance."""
-    shape, camera = calibration.reconstruction, calibration.camera
+    shape, camera = calibration.reconstructed, calibration.camera
     view, seen = _places(shape.frames, tracks.frame)
     point, known = _places(shape.tracks, tracks.track)
     both = seen & known & np.isfinite(points[point]).all(axis=1)
@@ -227,7 +230,8 @@ def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return place, keys[place] == wanted
 
 
-def to_affine(cameras: np.ndarray, points: np.ndarray, plane) -> tuple[np.ndarray, np.ndarray]:
+def to_affine(cameras: np.ndarray, points: np.ndarray, plane: ArrayLike,
+              ) -> tuple[np.ndarray, np.ndarray]:
     """
     Upgrade a projective reconstruction to an affine one (thesis 2.14).
 
@@ -249,7 +253,8 @@ def to_affine(cameras: np.ndarray, points: np.ndarray, plane) -> tuple[np.ndarra
     return _transformed(cameras, points, affine_upgrade(plane))
 
 
-def to_metric(cameras: np.ndarray, points: np.ndarray, K) -> tuple[np.ndarray, np.ndarray]:
+def to_metric(cameras: np.ndarray, points: np.ndarray, K: ArrayLike,
+              ) -> tuple[np.ndarray, np.ndarray]:
     """
     Upgrade an affine reconstruction to a metric one (thesis 2.16).
 
@@ -272,11 +277,12 @@ def to_metric(cameras: np.ndarray, points: np.ndarray, K) -> tuple[np.ndarray, n
     return _transformed(cameras, points, metric_upgrade(K))
 
 
-def _transformed(cameras, points, H):
+def _transformed(cameras: np.ndarray, points: np.ndarray, H: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray]:
     return (np.asarray(cameras, float) @ np.linalg.inv(H), np.asarray(points, float) @ H.T)
 
 
-def distance_error(grids) -> float:
+def distance_error(grids: ArrayLike) -> float:
     """
     Spread of the distances between neighbours on regular grids (thesis 4.2, measure 1).
 
@@ -300,7 +306,7 @@ def distance_error(grids) -> float:
     return float(distances.std() / distances.mean())
 
 
-def pattern_error(grids) -> float:
+def pattern_error(grids: ArrayLike) -> float:
     """
     Spread of the angles at the corners of a grid's squares (thesis 4.2, measure 2), radians.
 
@@ -324,7 +330,7 @@ def pattern_error(grids) -> float:
     return float(angles.std())
 
 
-def plane_angle(first, second) -> float:
+def plane_angle(first: ArrayLike, second: ArrayLike) -> float:
     """
     Angle between two planes of points, each by orthogonal regression (thesis 4.2, measure 3).
 
@@ -354,7 +360,7 @@ def plane_angle(first, second) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(arms[0], arms[1])), arms[0] @ arms[1]))
 
 
-def _grids(points) -> np.ndarray:
+def _grids(points: ArrayLike) -> np.ndarray:
     points = np.asarray(points, float)
     if points.ndim < 3 or points.shape[-1] != 3:
         raise ArgumentError(f'A grid of points must be (..., rows, columns, 3), not '
@@ -362,11 +368,11 @@ def _grids(points) -> np.ndarray:
     return points
 
 
-def _plane(points) -> tuple[np.ndarray, np.ndarray]:
+def _plane(points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Fit a plane by orthogonal regression: its centre and unit normal."""
-    points = np.asarray(points, float).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 3:
+    places = np.asarray(points, float).reshape(-1, 3)
+    places = places[np.isfinite(places).all(axis=1)]
+    if len(places) < 3:
         raise ArgumentError('A plane needs at least three points.')
-    centre = points.mean(axis=0)
-    return centre, np.linalg.svd(points - centre, full_matrices=False)[2][2]
+    centre = places.mean(axis=0)
+    return centre, np.linalg.svd(places - centre, full_matrices=False)[2][2]

@@ -21,6 +21,7 @@ observations share. Lengths are compared with each other, since images show no s
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from operator import index
 
 import numpy as np
@@ -126,7 +127,8 @@ def structure_angle(result: Calibration | NotCalibrated, corner: tuple[int, int,
     return corner_angle(precision, (a, b, c), result.covariance, points)
 
 
-def _found(result, groups) -> tuple[StructurePrecision, np.ndarray, list[int]]:
+def _found(result: object, groups: Iterable[tuple[Sequence[int], int]],
+           ) -> tuple[StructurePrecision, np.ndarray, list[int]]:
     """Return precision, points and the rows of tracks; groups are pairs (tracks, how many)."""
     shape = result.reconstruction if isinstance(result, Calibration) else None
     if shape is None or shape.precision is None:
@@ -150,7 +152,7 @@ def _found(result, groups) -> tuple[StructurePrecision, np.ndarray, list[int]]:
     return shape.precision, shape.points, rows
 
 
-def _all_different(ends, name: str) -> None:
+def _all_different(ends: Sequence[int] | np.ndarray, name: str) -> None:
     again = [one for k, one in enumerate(ends) if one in ends[:k]]
     if again:
         raise ArgumentError(f'{name} {again[0]} is named twice; lengths and angles need '
@@ -303,8 +305,9 @@ def _angle(X: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.arctan2(sine, cosine)), np.array([pull[0], -pull.sum(axis=0), pull[1]])
 
 
-def _measured(precision: StructurePrecision, rows: list[int], quantity, covariance,
-              points) -> Measured:
+def _measured(precision: StructurePrecision, rows: list[int],
+              quantity: Callable[[np.ndarray], tuple[float, np.ndarray]],
+              covariance: np.ndarray | None, points: np.ndarray | None) -> Measured:
     """Value and sigma of a quantity that depends on some points and on no scale."""
     p = precision.points[rows]
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -344,7 +347,7 @@ def by_camera_and_path(precision: StructurePrecision, rows: np.ndarray, slope: n
     return float(np.sqrt(max(_variances(precision, rows, slope, covariance)[1], 0)))
 
 
-def _variances(precision: StructurePrecision, rows, slope: np.ndarray,
+def _variances(precision: StructurePrecision, rows: list[int] | np.ndarray, slope: np.ndarray,
                covariance: np.ndarray | None) -> tuple[float, float]:
     """Return the variance that the points' own noise makes, and that of camera and path."""
     p = precision.points[rows]

@@ -16,12 +16,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry.projective import cross_matrix
 
 
-def plane_at_infinity(camera, fixed: FixedPoints) -> np.ndarray:
+def plane_at_infinity(camera: ArrayLike, fixed: FixedPoints) -> np.ndarray:
     """
     Plane at infinity of a projective frame in which the first camera is [I | 0].
 
@@ -48,18 +49,19 @@ def plane_at_infinity(camera, fixed: FixedPoints) -> np.ndarray:
         w = -(slope.conj() @ known) / (slope.conj() @ slope)
         rows += [x.real, x.imag]
         right += [-w.real, -w.imag]
-    return np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+    plane: np.ndarray = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
+    return plane
 
 
-def affine_upgrade(plane) -> np.ndarray:
+def affine_upgrade(plane: ArrayLike) -> np.ndarray:
     """Transform (4, 4) of points from the projective to the affine frame (2.14)."""
     H = np.eye(4)
     H[3, :3] = plane
     return H
 
 
-def metric_upgrade(K) -> np.ndarray:
+def metric_upgrade(K: ArrayLike) -> np.ndarray:
     """Transform (4, 4) of points from the affine frame to the metric frame of view 1 (2.16)."""
     H = np.eye(4)
-    H[:3, :3] = np.linalg.inv(K)
+    H[:3, :3] = np.linalg.inv(np.asarray(K, float))
     return H

@@ -57,7 +57,7 @@ class ClusterCovariance:
 
     """
 
-    ratios: dict
+    ratios: dict[str, float]
     covariance: np.ndarray
 
     @property
@@ -286,7 +286,7 @@ def shared_sigma(influence: np.ndarray, sigma: float, label: np.ndarray) -> floa
     return ratio * sigma
 
 
-def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _whitening(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     free = np.flatnonzero(sigma > 0)
@@ -296,21 +296,24 @@ def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return whiten, np.linalg.pinv(whiten), free
 
 
-def _regions(xy, size) -> np.ndarray:
+def _regions(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the number of the image region (N,) that every place is in."""
     along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
     column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
     row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
-    return row * along + column
+    region: np.ndarray = row * along + column
+    return region
 
 
-def _regions_by_camera(xy, size, camera) -> np.ndarray:
+def _regions_by_camera(xy: np.ndarray, size: tuple[int, int], camera: np.ndarray | int,
+                       ) -> np.ndarray:
     """Number the regions (N,) of all cameras, one camera after the other."""
     regions: np.ndarray = _regions(xy, size) + REGIONS[0] * REGIONS[1] * camera
     return regions
 
 
-def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:
+def _cluster_excess(effects: np.ndarray, label: np.ndarray, against: np.ndarray,
+                    ) -> tuple[float, np.ndarray]:
     """
     Return the ratio of sigmas and the covariance that clusters add to another, if significant.
 

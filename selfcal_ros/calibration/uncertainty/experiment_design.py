@@ -21,6 +21,7 @@ what there is. They are compared at the same number of views.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +48,9 @@ VIEWS, POINTS = 12, 150
 #: Turns have one axis where they leave it by no more than this share of themselves.
 ONE_AXIS = 0.03
 
+#: A motion by name, its path, and the factor of the depths.
+_Candidate = tuple[str, AxisPath, float]
+
 
 @dataclass(frozen=True)
 class Suggestion:
@@ -65,11 +69,12 @@ class Suggestion:
     """
 
     motion: str
-    sigma: dict
+    sigma: dict[str, float]
     worst_share: float
 
 
-def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fraction: float = 1.0,
+def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple[str, ...],
+                    fraction: float = 1.0,
                     rng: np.random.Generator | None = None) -> list[Suggestion]:
     """
     Rank motions by how well they would determine some parameters.
@@ -105,7 +110,7 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
     place = [every.index(name) for name in names]
     free = bundle.unknowns.free_lens
 
-    def rank(candidates, motion):
+    def rank(candidates: Iterable[_Candidate], motion: MotionModel) -> list[Suggestion]:
         found = []
         for name, path, near in candidates:
             seen = _simulate(state, path, near * depths, size, bundle, motion, rng)
@@ -131,7 +136,7 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
     return rank(_anyhow(state.path), replace(GENERAL, zoom=zoom))
 
 
-def best_motion(suggestions: list[Suggestion], names: tuple,
+def best_motion(suggestions: list[Suggestion], names: tuple[str, ...],
                 is_open: bool = False) -> tuple[Finding, ...]:
     """
     Tell the best one; nothing where none would determine the parameters.
@@ -164,7 +169,8 @@ def _information(bundle: Bundle[SceneState], state: SceneState, with_facts: bool
     matrix = restricted(system.matrix, E)
     inverse = scaled_pseudo_inverse(matrix[inner:, inner:], 1e-11)
     cross = matrix[:inner, inner:]
-    return matrix[:inner, :inner] - cross @ inverse @ cross.T
+    left: np.ndarray = matrix[:inner, :inner] - cross @ inverse @ cross.T
+    return left
 
 
 def _plausible(state: SceneState, bundle: Bundle[SceneState], size: tuple[int, int]) -> SceneState:
@@ -201,7 +207,7 @@ def _about_one_axis(path: AxisPath) -> AxisPath | None:
     return AxisPath.of_poses(mount, upright)
 
 
-def _in_the_plane(path: AxisPath):
+def _in_the_plane(path: AxisPath) -> Iterator[_Candidate]:
     """Yield motions of a vehicle: name, path, factor of the depths."""
     step = path.step_length()
     forward = np.einsum('vij,vj->vi', twist_matrix(path.angle[:-1])[:, :2, :2],
@@ -221,7 +227,7 @@ def _in_the_plane(path: AxisPath):
                near)
 
 
-def _anyhow(path: AxisPath):
+def _anyhow(path: AxisPath) -> Iterator[_Candidate]:
     """Yield motions of an arm or a hand: name, path, factor of the depths."""
     reach = float(np.sqrt(np.mean(np.var(path.centres(), axis=0)))) or 1.0
     phase = np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
@@ -240,8 +246,8 @@ def _anyhow(path: AxisPath):
         yield name, turned.placed_at(aside - aside[0]), 1.0
 
 
-def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size,
-              bundle: Bundle[SceneState], motion: MotionModel, rng,
+def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size: tuple[int, int],
+              bundle: Bundle[SceneState], motion: MotionModel, rng: np.random.Generator,
               ) -> tuple[Bundle[SceneState], SceneState] | None:
     """Set up the adjustment of simulated views of points before them, at its optimum."""
     camera = state.camera(*size)
@@ -259,6 +265,7 @@ def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size,
     pixels = pixels.reshape(POINTS, len(path), 2)
     with np.errstate(invalid='ignore'):
         inside = ((pixels >= 0) & (pixels < size)).all(axis=2)
+    inside = np.asarray(inside)
     inside[inside.sum(axis=1) < 2] = False
     point, view = np.nonzero(inside)
     if len(np.unique(view)) < len(path):

@@ -195,7 +195,8 @@ def gains_of_tracks(fit: RobustFit, instants: tuple[float, ...],
                        fit.bundle.sigma_px)
     constant = replace(fit.state, zoom=Zoom.constant(len(instants)))
     varying = bundle.optimise(constant, iterations=4, tolerance=0.1)
-    return _cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying)
+    gain: np.ndarray = _cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying)
+    return gain
 
 
 def _cost_of_tracks(bundle: Bundle[SceneState], state: SceneState) -> np.ndarray:

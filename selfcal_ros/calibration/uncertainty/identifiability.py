@@ -38,7 +38,7 @@ FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx
 MINOR = 0.2
 
 
-def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple) -> Identifiability:
+def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple[str, ...]) -> Identifiability:
     """
     Tell images from facts.
 

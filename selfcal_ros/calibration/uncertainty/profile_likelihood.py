@@ -176,4 +176,5 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
         # as far again, the displacement the valley went
         step = fit.model.step_between(fit.state, moved, unknowns, step)
         state = moved
-    return displacement / sigmas
+    distance: np.ndarray = displacement / sigmas
+    return distance

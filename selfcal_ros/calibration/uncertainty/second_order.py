@@ -58,7 +58,8 @@ def mean_square_offset(slopes: np.ndarray) -> np.ndarray:
     """
     A = 0.5 * (slopes.transpose(1, 0, 2) + slopes.transpose(1, 2, 0) - slopes)
     mean = np.einsum('kii->k', A)
-    return 0.5 * np.einsum('kij,lij->kl', A, A) + 0.25 * np.outer(mean, mean)
+    spread: np.ndarray = 0.5 * np.einsum('kij,lij->kl', A, A) + 0.25 * np.outer(mean, mean)
+    return spread
 
 
 def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float = 1.0,
@@ -96,10 +97,11 @@ def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float 
     ways = np.linalg.solve(root, joint[free]).T
     system = bundle.normal_equations(fit.state, linearisation=fit.linearisation)
 
-    def information(step):
+    def information(step: np.ndarray) -> np.ndarray:
         there = bundle.moved(fit.state, step, system.point_steps(step))
         inverse = bundle.inverse(bundle.normal_equations(there))
-        return root.T @ np.linalg.solve(scale * inverse[np.ix_(free, free)], root)
+        told: np.ndarray = root.T @ np.linalg.solve(scale * inverse[np.ix_(free, free)], root)
+        return told
 
     slopes = np.zeros((len(free),) * 3)
     try:
@@ -112,4 +114,5 @@ def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float 
     excess[np.ix_(free, free)] = root @ mean_square_offset(slopes) @ root.T
     p = len(free)
     # of |u|⁴ at the surface to its mean
-    return excess * chi2_isf(1 - SURFACE, p)**2 / (p * (p + 2))
+    excess_of: np.ndarray = excess * chi2_isf(1 - SURFACE, p)**2 / (p * (p + 2))
+    return excess_of

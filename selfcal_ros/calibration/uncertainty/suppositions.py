@@ -104,7 +104,8 @@ class Tested:
     @property
     def shift(self) -> np.ndarray:
         """How the unknowns of the lens would move, shape (k,)."""
-        return self.response @ self.value
+        moved: np.ndarray = self.response @ self.value
+        return moved
 
     @property
     def sigma(self) -> np.ndarray:

@@ -88,7 +88,8 @@ def two_cameras(fit: RobustFit, variance_inflation: float) -> np.ndarray | None:
         if of_point < max(least, share * total):
             return None
     # the first image is the first camera's; which is which says nothing else
-    return second ^ second[0]
+    cameras: np.ndarray = second ^ second[0]
+    return cameras
 
 
 def two_focal_lengths(log_focal: np.ndarray) -> np.ndarray | None:
