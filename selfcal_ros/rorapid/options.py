@@ -129,7 +129,7 @@ class TrackerOptions:
     acceleration_rad_s2: float = 10.0
     zoom_rate_s: float = 0.1
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible settings."""
         for name, allowed in (('method', METHODS), ('camera_model', CAMERA_MODELS),
                               ('motion', MOTIONS)):
@@ -170,7 +170,7 @@ class TrackerOptions:
         return self.control_points_per_line, self.control_points_per_conic
 
     @property
-    def built_in(self) -> tuple:
+    def built_in(self) -> tuple[object, ...]:
         """What a tracker cannot change once it is made; the rest it reads from image to image."""
         return (self.method, self.camera_model, self.motion, self.plane_axis, self.texture_points,
                 self.doubt, self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)

@@ -353,7 +353,8 @@ class RorapidTracker:
         self._method.switch(self._pose.basis, camera_model)
         self._plausibility.adopt(self._control, self._pose.basis, self.options)
 
-    def _judge(self, measured: PoseMeasurement, image, stamp_ns) -> TrackedFrame:
+    def _judge(self, measured: PoseMeasurement, image: np.ndarray, stamp_ns: int | None,
+               ) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
         options, track = self.options, self._track_state
         lost = self.state is TrackerState.LOST
@@ -391,7 +392,8 @@ class RorapidTracker:
             reason = rejection_reason(measured, seeking, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
-    def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
+    def _frame(self, measured: PoseMeasurement, accepted: bool, reason: str, innovation: float,
+               stamp_ns: int | None) -> TrackedFrame:
         """Say what the state is, with what a doubt adds to the covariance."""
         state, B = self._pose.kalman.state, self._pose.basis
         full = B @ self._pose.kalman.pose_covariance @ B.T

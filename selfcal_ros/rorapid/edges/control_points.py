@@ -77,7 +77,8 @@ class ControlView:
     @property
     def contour(self) -> np.ndarray:
         """Where the background is seen on one side, (C,) bool."""
-        return self.inside != 0
+        curved: np.ndarray = self.inside != 0
+        return curved
 
     @property
     def must_show(self) -> np.ndarray:
@@ -160,7 +161,9 @@ class ControlModel:
         return self._place(view.points, view.tangents, view.primitive, view.ids, view.searched,
                            view.inward, state)
 
-    def _place(self, points, tangents, primitive, ids, visible, inward, state):
+    def _place(self, points: np.ndarray, tangents: np.ndarray, primitive: np.ndarray,
+               ids: np.ndarray, visible: np.ndarray, inward: np.ndarray, state: ObjectPose,
+               ) -> ControlView:
         n = len(points)
         parts = [points, points + self._step * tangents, points + self._step * inward]
         curved = np.flatnonzero(self._bend[ids]) if self._curved else ()

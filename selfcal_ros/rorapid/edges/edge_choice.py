@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import numpy as np
+from selfcal_ros.rorapid.edges.control_points import ControlView
 
 #: Control points with another primitive so close alongside count little.
 _CLUTTER_PX, _CLUTTER_LENGTH_PX, _CLUTTERED = 5.0, 15.0, 0.1
@@ -56,7 +57,8 @@ def contrast_penalty(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def contrast_matches(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
     ratio = contrast / np.where(wanted == 0, 1.0, wanted)
-    return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
+    alike: np.ndarray = (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
+    return alike
 
 
 def change_of_light(contrast: np.ndarray, wanted: np.ndarray) -> float:
@@ -74,7 +76,7 @@ def change_of_light(contrast: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.exp(common)) if agree >= _LIGHT_AGREE and abs(common) < _MOST_LIGHT else 1.0
 
 
-def clutter_weight(view) -> np.ndarray:
+def clutter_weight(view: ControlView) -> np.ndarray:
     """
     Weight of control points by how near other primitives run alongside, (C,).
 

@@ -50,7 +50,7 @@ class EdgeNoise:
     near the end of a line the next edge disturbs.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         """Start from what is usual."""
         self.forget()
 
@@ -81,7 +81,8 @@ class EdgeNoise:
 
         """
         variance = self._variance[0] + self._variance[1] / np.maximum(contrast * contrast, 1.0)
-        return np.sqrt(variance * _end_factor(end_px))
+        sigma_px: np.ndarray = np.sqrt(variance * _end_factor(end_px))
+        return sigma_px
 
     def learn(self, contrast: np.ndarray, end_px: np.ndarray, residual: np.ndarray) -> None:
         """Take in residuals (C,) of edgels that were accepted, pixels."""
@@ -104,8 +105,9 @@ class EdgeNoise:
         self._variance = np.array([place, grey])
 
 
-def _end_factor(end_px):
-    return 1 + (_END_PX / np.maximum(end_px, 1.0))**2
+def _end_factor(end_px: np.ndarray) -> np.ndarray:
+    factor: np.ndarray = 1 + (_END_PX / np.maximum(end_px, 1.0))**2
+    return factor
 
 
 class CommonScatter:

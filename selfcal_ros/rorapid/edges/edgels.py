@@ -94,7 +94,8 @@ def sample_normals(image: np.ndarray, pixels: np.ndarray, normal: np.ndarray, re
     y = np.concatenate([y + normal[:, :1], y, y - normal[:, :1]])
     values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = values.reshape(3, len(centre), -1).astype(np.float32)
-    return (values[0] + values[1] + values[2]) * np.float32(1 / 3)
+    grey: np.ndarray = (values[0] + values[1] + values[2]) * np.float32(1 / 3)
+    return grey
 
 
 def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float = 4.0,

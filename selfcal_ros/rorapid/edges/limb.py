@@ -68,12 +68,13 @@ def limb_shift(profiles: np.ndarray, offset: np.ndarray, contrast: np.ndarray,
     row, inside = np.arange(len(profiles))[:, None], inside[:, None]
     last = profiles.shape[1] - 1
 
-    def grey(depth):
+    def grey(depth: float) -> np.ndarray:
         place = np.where(np.isfinite(offset), offset, 0.0) + inside * depth + 0.5 * last
         place = np.clip(place, 0, last - 1e-3)
         low = place.astype(int)
         a, b = profiles[row, low], profiles[row, low + 1]
-        return a + (place - low) * (b - a)
+        grey_there: np.ndarray = a + (place - low) * (b - a)
+        return grey_there
 
     near, middle, far = (grey(depth) for depth in (_NEAR_PX, _HALF_WAY_PX, _FAR_PX))
     rise = far - near

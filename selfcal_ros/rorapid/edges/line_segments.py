@@ -42,4 +42,5 @@ def line_segments(image: np.ndarray, least_length_px: float) -> np.ndarray:
     segments = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     longest = np.argsort(-lengths, kind='stable')[:_MAX_LINES]
-    return segments[longest[lengths[longest] > least_length_px]]
+    long: np.ndarray = segments[longest[lengths[longest] > least_length_px]]
+    return long

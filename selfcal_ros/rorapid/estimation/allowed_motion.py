@@ -49,7 +49,7 @@ class AllowedMotion:
         """Lay out the corrections."""
         self._projection, self._options = projection, options
         self._plane = PlaneLearner()
-        self._axis: tuple | np.ndarray | None = options.plane_axis
+        self._axis: tuple[float, ...] | np.ndarray | None = options.plane_axis
         self._open_zooms = 0
         self.lay()
 

@@ -199,7 +199,7 @@ def has_corners(visible: VisibleGeometry) -> bool:
         visible.size * len(model.triangles) <= _MOST_TESTS)
 
 
-def _corners_of_model(vertices: np.ndarray, lines) -> tuple[np.ndarray, np.ndarray]:
+def _corners_of_model(vertices: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (C, 3) where two lines meet, and the two arms from there (C, 2, 3)."""
     around: list[list[int]] = [[] for _ in vertices]
     for first, second in lines:
@@ -237,7 +237,8 @@ def _joined(lines: np.ndarray) -> np.ndarray:
     i, j = np.nonzero(np.triu((beside[..., 0].max(axis=2) < _BESIDE_PX) & (gap < lengths[:, None])
                               & (gap > -_BESIDE_PX), 1))
     first, last = np.minimum(low[i, j], 0), np.maximum(high[i, j], lengths[i])
-    return lines[i, :1] + np.stack([first, last], axis=1)[..., None] * span[i, None]
+    ends: np.ndarray = lines[i, :1] + np.stack([first, last], axis=1)[..., None] * span[i, None]
+    return ends
 
 
 def _corners_of_image(lines: np.ndarray) -> np.ndarray:
@@ -254,13 +255,15 @@ def _corners_of_image(lines: np.ndarray) -> np.ndarray:
     near = np.hypot(*(meet - ends[i]).T) < 2 * _MEET_PX
     corners = np.stack([meet, others[i], others[j]], axis=1)[near]
     arms = np.linalg.norm(corners[:, 1:] - corners[:, :1], axis=2).min(axis=1)
-    return corners[np.argsort(-arms, kind='stable')]
+    kept: np.ndarray = corners[np.argsort(-arms, kind='stable')]
+    return kept
 
 
 def _sector_of(along: np.ndarray) -> np.ndarray:
     """Which range of direction a vector (..., 2) lies in; opposite ones in the same."""
     turn = np.arctan2(along[..., 1], along[..., 0]) % np.pi
-    return np.minimum((turn * (_SECTORS / np.pi)).astype(int), _SECTORS - 1)
+    sector: np.ndarray = np.minimum((turn * (_SECTORS / np.pi)).astype(int), _SECTORS - 1)
+    return sector
 
 
 def _distance_maps(lines: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -153,7 +153,8 @@ class DepthFit:
         return DepthSays(replace(measured, state=state, covariance=covariance), alone,
                          float(free[-1, -1])**0.5, int((weight > 0).sum()))
 
-    def _seen(self, state: ObjectPose, depth: np.ndarray):
+    def _seen(self, state: ObjectPose, depth: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """Return the places that have a depth: without translation, in space, normals, ratios."""
         turned = self._points @ state.rotation.T
         place, normal = turned + state.translation, self._normals @ state.rotation.T

@@ -87,7 +87,8 @@ def start_covariance(rotation: np.ndarray, centred: np.ndarray, centre: np.ndarr
         raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
     back = np.linalg.inv(recentring(rotation @ centre))
     given = back @ given[TURN_LAST] @ back.T
-    return given + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+    spread: np.ndarray = given + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+    return spread
 
 
 def started_filter(projection: Projection, basis: np.ndarray, free: int, options: TrackerOptions,

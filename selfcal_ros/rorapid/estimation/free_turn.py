@@ -67,7 +67,7 @@ def without_free(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
     return _apart(covariance, free, 0.0)
 
 
-def _apart(covariance, free, sigma):
+def _apart(covariance: np.ndarray, free: np.ndarray, sigma: float) -> np.ndarray:
     keep = apart_from(free)
     result: np.ndarray = keep @ covariance @ keep.T + sigma**2 * free @ free.T
     return result

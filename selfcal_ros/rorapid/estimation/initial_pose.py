@@ -15,21 +15,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
 from selfcal_ros.values.foreign_files import read_limited
 
 #: Longer files are not what they claim to be.
 _MAX_BYTES = 1_000_000
 
 
-def read_init(path) -> np.ndarray:
+def read_init(path: str | Path) -> np.ndarray:
     """
     Read the object points of an ``.init`` file: their number, then ``X Y Z`` per line.
 
@@ -57,7 +59,7 @@ def read_init(path) -> np.ndarray:
     return values[1:].reshape(-1, 3)
 
 
-def read_pose_file(path) -> tuple[np.ndarray, np.ndarray]:
+def read_pose_file(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """
     Read a pose: six numbers ``tx ty tz rx ry rz`` (metres, angle-axis radians).
 
@@ -98,7 +100,8 @@ def _numbers(path: Path) -> np.ndarray:
     return values
 
 
-def pose_from_clicks(object_points, image_points, camera: Camera):
+def pose_from_clicks(object_points: ArrayLike, image_points: ArrayLike, camera: Camera,
+                     ) -> tuple[np.ndarray, np.ndarray, float]:
     """
     Pose of an object from a few of its points, clicked in the image.
 
@@ -165,21 +168,22 @@ def pose_from_clicks(object_points, image_points, camera: Camera):
     return best.rotation, best.translation - best.rotation @ centre, rms
 
 
-def _spread_rotations():
+def _spread_rotations() -> Iterator[np.ndarray]:
     """Rotations spread over all orientations: 12 viewing directions times 6 turns."""
     golden = np.pi * (3 - np.sqrt(5))
     for k in range(12):
         z = 1 - (2 * k + 1) / 12
         tilt = np.arccos(z) * np.array([-np.sin(golden * k), np.cos(golden * k), 0.0])
         for turn in range(6):
-            yield rotation_matrix([0, 0, turn * np.pi / 3]) @ rotation_matrix(tilt)
+            yield rotation_matrix(np.array([0, 0, turn * np.pi / 3])) @ rotation_matrix(tilt)
 
 
-def _refine(projection, state, points, pixels, steps):
+def _refine(projection: Projection, state: ObjectPose, points: np.ndarray, pixels: np.ndarray,
+            steps: int) -> tuple[ObjectPose, float]:
     """Levenberg-Marquardt on the reprojection; cost is the sum of squares, pixels."""
     directions = np.repeat(np.eye(2), len(points), axis=0)
 
-    def evaluate(state):
+    def evaluate(state: ObjectPose) -> tuple[ProjectedPoints, float]:
         seen = projection.project(state, points)
         behind = (seen.turned[:, 2] + state.translation[2] <= 1e-6).any()
         return seen, np.inf if behind else float(((seen.pixels - pixels)**2).sum())

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.free_directions import apart_from
@@ -51,8 +52,9 @@ class ConstantVelocityFilter:
 
     """
 
-    def __init__(self, projection: Projection, basis, state: ObjectPose, covariance,
-                 velocity_sigma, acceleration_sigma, random_walk=0.0):
+    def __init__(self, projection: Projection, basis: ArrayLike, state: ObjectPose,
+                 covariance: np.ndarray, velocity_sigma: ArrayLike, acceleration_sigma: ArrayLike,
+                 random_walk: ArrayLike = 0.0) -> None:
         """Start at rest, with a velocity as uncertain as stated."""
         self.projection, self.basis = projection, np.asarray(basis, float)
         self.state = state

@@ -197,7 +197,7 @@ class ModelDoubt:
         self._looks += 1
         self._judge()
 
-    def _slopes(self, state, view, at):
+    def _slopes(self, state: ObjectPose, view: ControlView, at: np.ndarray) -> np.ndarray:
         """Motion along the normals for s = 1 of each pattern, (C, K) pixels."""
         projection = self._control.projection
         # a shift of a point is a shift of the object for that point alone

@@ -27,7 +27,7 @@ def _all_pairs(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ransac_lines(xy: np.ndarray, valid: np.ndarray, support_px: float,
-                 rng=None, most_samples: int = 200) -> np.ndarray:
+                 rng: np.random.Generator | None = None, most_samples: int = 200) -> np.ndarray:
     """
     Edgels of each line primitive that support its best putative line (7.3.1).
 
@@ -64,7 +64,7 @@ def ransac_lines(xy: np.ndarray, valid: np.ndarray, support_px: float,
     return _best_support(distance, usable, valid, support_px)
 
 
-def ransac_conics(xy: np.ndarray, valid: np.ndarray, support_px: float, rng,
+def ransac_conics(xy: np.ndarray, valid: np.ndarray, support_px: float, rng: np.random.Generator,
                   most_samples: int = 60) -> np.ndarray:
     """
     Edgels of each conic primitive that support its best putative conic through five of them.
@@ -115,12 +115,14 @@ def ransac_conics(xy: np.ndarray, valid: np.ndarray, support_px: float, rng,
     return _best_support(distance, usable, valid, support_px)
 
 
-def _best_support(distance, usable, valid, support_px):
+def _best_support(distance: np.ndarray, usable: np.ndarray, valid: np.ndarray, support_px: float,
+                  ) -> np.ndarray:
     """Support (P, n) of the best of m hypotheses; ties go to the smaller distances."""
     near = (distance < support_px) & valid[:, None] & usable[..., None]
     score = np.where(near, 1.0 + 0.1 * (1 - distance / support_px), 0.0).sum(axis=2)
     best = score.argmax(axis=1)
-    return near[np.arange(len(valid)), best]
+    support: np.ndarray = near[np.arange(len(valid)), best]
+    return support
 
 
 def case_deletion(matrices: np.ndarray, vectors: np.ndarray, squares: np.ndarray,
@@ -175,4 +177,5 @@ def case_deletion(matrices: np.ndarray, vectors: np.ndarray, squares: np.ndarray
 
 def stability(found: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Decaying average of how often a control point is found: w(t) = (found + w(t-1)) / 2."""
-    return 0.5 * (found + before)
+    middle: np.ndarray = 0.5 * (found + before)
+    return middle

@@ -47,7 +47,8 @@ class RapidTracker:
 
     """
 
-    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
+                 rng: np.random.Generator) -> None:
         """Start with full weights and the nearest search; it widens where nothing is found."""
         self.basis, self.rng = basis, rng
         self._lay_out(options, control)
@@ -129,7 +130,7 @@ class RapidTracker:
             self._remember(view, offset, found)
         return result
 
-    def _support(self, view: ControlView, offset, found):
+    def _support(self, view: ControlView, offset: np.ndarray, found: np.ndarray) -> np.ndarray:
         """RANSAC within each primitive; primitives with too few edgels are not found."""
         xy = view.projected.pixels + np.where(found, offset, 0.0)[:, None] * view.normal
         primitives = np.unique(view.primitive)
@@ -145,9 +146,11 @@ class RapidTracker:
         support[conic] = ransac_conics(padded[conic], valid[conic], self.options.support_px,
                                        self.rng)
         support[support.sum(axis=1) < self._least[primitives]] = False
-        return support[row, place]
+        within: np.ndarray = support[row, place]
+        return within
 
-    def _without_wrong(self, view, rows, offset, weight, found):
+    def _without_wrong(self, view: ControlView, rows: np.ndarray, offset: np.ndarray,
+                       weight: np.ndarray, found: np.ndarray) -> np.ndarray:
         """Case deletion over the primitives."""
         primitives = len(self._least)
         m = rows.shape[1]
@@ -164,9 +167,11 @@ class RapidTracker:
         least = int(np.ceil(m / 2))
         alive = case_deletion(matrices, vectors, squares, counts, 2 * self.options.support_px,
                               least, damping)
-        return found & alive[owner]
+        kept: np.ndarray = found & alive[owner]
+        return kept
 
-    def _solve(self, predicted, view, rows, offset, weight, found):
+    def _solve(self, predicted: ObjectPose, view: ControlView, rows: np.ndarray,
+               offset: np.ndarray, weight: np.ndarray, found: np.ndarray) -> PoseMeasurement:
         """Return the weighted pose correction (7.12)."""
         w = np.where(found, weight, 0.0)
         length = np.where(found, offset, 0.0)
@@ -198,7 +203,7 @@ class RapidTracker:
             found=found, texture_px=np.zeros((0, 2)), share=share, determined=True,
             recognised=share >= self.options.tracking_share, focal_sigma=float(focal))
 
-    def _remember(self, view, offset, found):
+    def _remember(self, view: ControlView, offset: np.ndarray, found: np.ndarray) -> None:
         """Stability weights, and the search range of each primitive (8 to 24 px)."""
         seen = view.ids[view.searched]
         self._weight[seen] = stability(found[view.searched], self._weight[seen])

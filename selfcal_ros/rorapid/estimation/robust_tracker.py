@@ -72,7 +72,8 @@ class RobustTracker:
 
     """
 
-    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
+                 rng: np.random.Generator) -> None:
         """Start without memory."""
         self.control, self.basis, self.options = control, basis, options
         self.projection = control.projection
@@ -384,8 +385,8 @@ def _hidden(corners: AgreeingCorners) -> bool:
     if corners.matches is None:
         return False
     followed = corners.matches.followed
-    return followed.mean() < _HIDDEN or (followed.mean() < _HIDDEN_AGREEING
-                                         and corners.agree.sum() > 0.5 * followed.sum())
+    return bool(followed.mean() < _HIDDEN or (followed.mean() < _HIDDEN_AGREEING
+                                              and corners.agree.sum() > 0.5 * followed.sum()))
 
 
 def _quality(measured: PoseMeasurement) -> tuple[float, float]:

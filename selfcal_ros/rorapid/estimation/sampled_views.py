@@ -21,6 +21,8 @@ overlaps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -129,13 +131,15 @@ def _normalised(mask: np.ndarray, area: float, middle: np.ndarray, turn: float) 
                           flags=cv2.INTER_LINEAR) > 127
 
 
-def _drawing_of(visible: VisibleGeometry, centre: np.ndarray):
+def _drawing_of(visible: VisibleGeometry, centre: np.ndarray,
+                ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Return what draws the silhouette (canvas, uint8) of a pose (rotation, translation)."""
     shape = int(_CANVAS[1]), int(_CANVAS[0])
 
-    def place(points, rotation, translation):
+    def place(points: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
         seen = points @ rotation.T + translation
-        return _FOCAL * seen[..., :2] / seen[..., 2:] + _CANVAS / 2
+        pixels: np.ndarray = _FOCAL * seen[..., :2] / seen[..., 2:] + _CANVAS / 2
+        return pixels
 
     surface = visible.surface
     if surface is not None:
@@ -151,7 +155,7 @@ def _drawing_of(visible: VisibleGeometry, centre: np.ndarray):
         rim = cylinder.radius_m * (np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v))
         solids.append(np.concatenate([cylinder.start + rim, cylinder.end + rim]) - centre)
 
-    def draw(rotation, translation):
+    def draw(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
         mask = np.zeros(shape, np.uint8)
         for corners in place(triangles, rotation, translation):
             cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 255)

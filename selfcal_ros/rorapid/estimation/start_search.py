@@ -177,7 +177,8 @@ class LastSighting:
         self._state, self._seconds = state, 0.0
         if before is None or not 0 < seconds < _RECENT_S or turned_by(before, state) > _SAME_RAD:
             return None
-        return basis.T @ projection.difference(state, before) / seconds
+        motion: np.ndarray = basis.T @ projection.difference(state, before) / seconds
+        return motion
 
 
 def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: float,
@@ -190,7 +191,8 @@ def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: f
         sigma[:3] = _PROPOSED_RAD
         sigma[3:6] = _PROPOSED_DIAMETERS * diameter_m
         sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
-    return (basis.T * sigma**2) @ basis
+    spread: np.ndarray = (basis.T * sigma**2) @ basis
+    return spread
 
 
 def relocalised(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,

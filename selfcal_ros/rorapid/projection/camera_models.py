@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
@@ -238,7 +239,8 @@ class Projection:
             out[6] = np.log(there.zoom / here.zoom)
         return out
 
-    def from_pose(self, rotation, translation, zoom: float = 1.0) -> ObjectPose:
+    def from_pose(self, rotation: ArrayLike, translation: ArrayLike, zoom: float = 1.0,
+                  ) -> ObjectPose:
         """Return the state of a pose."""
         rotation = np.array(rotation, float)
         translation = np.array(translation, float)
@@ -261,7 +263,8 @@ class Projection:
             other = self.moved(state, step)
             slope[:3, k] = rotation_vector(other.rotation @ state.rotation.T) / step[k]
             slope[3:, k] = (other.translation - state.translation) / step[k]
-        return slope @ covariance @ slope.T
+        carried: np.ndarray = slope @ covariance @ slope.T
+        return carried
 
 
 def _rotation_matrix(vector: np.ndarray) -> np.ndarray:

@@ -18,12 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import align_z, rotation_vector
 
 
-def motion_basis(motion: str, size: int, plane_axis=None) -> np.ndarray:
+def motion_basis(motion: str, size: int, plane_axis: ArrayLike | None = None) -> np.ndarray:
     """
     Corrections that a motion model allows: q = basis p.
 

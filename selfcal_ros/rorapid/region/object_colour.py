@@ -98,8 +98,8 @@ class ObjectColour:
         difference = one.mean(axis=0) - other.mean(axis=0)
         scatter = np.cov(one.T) + np.cov(other.T) + _NOISE**2 * np.eye(3)
 
-        def tells(weights):
-            return (weights @ difference)**2 / (weights @ scatter @ weights)
+        def tells(weights: np.ndarray) -> float:
+            return float((weights @ difference)**2 / (weights @ scatter @ weights))
 
         best = np.linalg.solve(scatter, difference)
         if tells(best) < max(_TELLS, _BETTER * tells(_USUAL)):

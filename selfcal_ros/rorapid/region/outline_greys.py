@@ -141,11 +141,13 @@ class OutlineGreys:
         row = np.arange(len(nats))[:, None]
         there = total[row, low] + (place - low) * (total[row, low + 1] - total[row, low])
         doubt = np.clip(_PX_PER_NAT * (best - there - _FREE_NATS), 0, _MOST_PX)
-        return doubt * (inside != 0)[:, None]
+        doubtful: np.ndarray = doubt * (inside != 0)[:, None]
+        return doubtful
 
 
 def _sector(pixels: np.ndarray) -> np.ndarray:
     """Sector (C,) of pixels (C, 2) about their middle."""
     x, y = (pixels - 0.5 * (pixels.min(axis=0) + pixels.max(axis=0))).T
     turn = np.arctan2(y, x) / (2 * np.pi)
-    return np.floor(turn * _SECTORS).astype(int) % _SECTORS
+    sector: np.ndarray = np.floor(turn * _SECTORS).astype(int) % _SECTORS
+    return sector

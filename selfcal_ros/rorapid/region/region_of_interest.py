@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
@@ -55,11 +56,13 @@ class Region:
 
     def inside(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels of the image to pixels of the region."""
-        return (pixels - self.corner) * self.scale
+        reduced: np.ndarray = (pixels - self.corner) * self.scale
+        return reduced
 
     def outside(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels of the region to pixels of the image."""
-        return pixels / self.scale + self.corner
+        whole: np.ndarray = pixels / self.scale + self.corner
+        return whole
 
 
 class Undistorter:
@@ -95,8 +98,8 @@ class Undistorter:
         return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
-                       lens: Undistorter):
+def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float, lens: Undistorter,
+                       ) -> Region | None:
     """
     Cut the part of an image around given pixels, undistorted, and reduced while it is large.
 
@@ -132,7 +135,7 @@ def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
     return Region(np.ascontiguousarray(part), corner, scale)
 
 
-def checked_image(image, camera: Camera) -> np.ndarray:
+def checked_image(image: ArrayLike, camera: Camera) -> np.ndarray:
     """
     Return an image, (H, W) or (H, W, 3) of uint8.
 
@@ -142,13 +145,13 @@ def checked_image(image, camera: Camera) -> np.ndarray:
         If it is not of the camera's size, or neither grey nor BGR of 8 bits.
 
     """
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
-            image.ndim == 3 and image.shape[2] != 3) or not image.size:
+    array: np.ndarray = np.asarray(image)
+    if array.dtype != np.uint8 or array.ndim not in (2, 3) or (
+            array.ndim == 3 and array.shape[2] != 3) or not array.size:
         raise InputError('The tracker takes grey or BGR images of 8 bits, not '
-                         f'{image.dtype} of shape {image.shape}.')
-    height, width = image.shape[:2]
+                         f'{array.dtype} of shape {array.shape}.')
+    height, width = array.shape[:2]
     if camera.width and camera.height and (width, height) != (camera.width, camera.height):
         raise InputError(f'The image is {width}x{height} pixels, the camera '
                          f'{camera.width}x{camera.height}; they do not belong together.')
-    return image
+    return array

@@ -230,7 +230,8 @@ class RigCamera:
 
     def doubted(self) -> np.ndarray:
         """Covariance (6, 6) that a doubt of model or camera adds in the rig."""
-        return self._both @ self.tracker.doubt_covariance @ self._both.T
+        covariance: np.ndarray = self._both @ self.tracker.doubt_covariance @ self._both.T
+        return covariance
 
     def _here(self, state: ObjectPose) -> ObjectPose:
         return ObjectPose(self._turn.T @ state.rotation,

@@ -27,6 +27,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
@@ -104,7 +105,8 @@ class RigTracker:
         self._misses, self._unseen, self._state = 0, 0, state
         self._reason = ''
 
-    def start(self, rotation, translation, covariance=None, lost: bool = False,
+    def start(self, rotation: ArrayLike, translation: ArrayLike,
+              covariance: ArrayLike | None = None, lost: bool = False,
               distance_sigma_m: float | None = None) -> None:
         """
         Take a guess of the pose in the frame of the first camera; see `RorapidTracker.start`.
@@ -216,7 +218,8 @@ class RigTracker:
         covariance = M + M @ np.linalg.solve(known, M)
         return float(pull @ np.linalg.pinv(covariance, 1e-9, hermitian=True) @ pull)
 
-    def _judged(self, views, seen: dict[int, PoseInformation], stamp_ns) -> RigFrame:
+    def _judged(self, views: Sequence[TrackedFrame | None], seen: dict[int, PoseInformation],
+                stamp_ns: int | None) -> RigFrame:
         """Join what is seen, and say what the state is."""
         doubt, apart = '', np.zeros((6, 6))
         if seen:
@@ -266,7 +269,7 @@ class RigTracker:
                                       self.model.diameter_m, place, covariance)
         self._kalman.restart(place, covariance)
 
-    def _missed(self, views) -> str:
+    def _missed(self, views: Sequence[TrackedFrame | None]) -> str:
         """No camera sees the object; returns why."""
         alone = [camera for camera, view in zip(self.members, views) if view is None]
         looked = [camera for camera, view in zip(self.members, views) if view is not None]
@@ -314,7 +317,8 @@ class RigTracker:
             self._agreement.add(k, others, d, weight, misplaced, place.translation)
         self._agreement.judge(float(np.linalg.norm(place.translation)))
 
-    def _told(self, seen, others: list[int], place: ObjectPose) -> tuple[str, np.ndarray]:
+    def _told(self, seen: dict[int, PoseInformation], others: list[int], place: ObjectPose,
+              ) -> tuple[str, np.ndarray]:
         """Say what contradicts, and return the covariance (6, 6) that counts it."""
         found, covariance = self._agreement.found, np.zeros((6, 6))
         for k in others:
@@ -341,8 +345,8 @@ class RigTracker:
         return (f'The camera {self._names[others[-1]]} sees the object elsewhere than the others, '
                 f'by {turn:.2f}° and {shift:.1f} mm.'), covariance
 
-    def _frame(self, views, group, reason: str, doubt: str, apart: np.ndarray,
-               stamp_ns) -> RigFrame:
+    def _frame(self, views: Sequence[TrackedFrame | None], group: Sequence[int], reason: str,
+               doubt: str, apart: np.ndarray, stamp_ns: int | None) -> RigFrame:
         """Put the result into the object's own frame."""
         sees = tuple(k in group for k in range(len(self.members)))
         first = next((view for view in views if view is not None), None)

@@ -69,7 +69,8 @@ class CornerFit:
 
     """
 
-    def __init__(self, projection: Projection, basis: np.ndarray, rng):
+    def __init__(self, projection: Projection, basis: np.ndarray, rng: np.random.Generator,
+                 ) -> None:
         """Take the camera and the motion model."""
         self.projection, self.basis, self.rng = projection, basis, rng
 
@@ -77,7 +78,8 @@ class CornerFit:
         """Go on with another basis of corrections."""
         self.basis = basis
 
-    def agreement(self, matches, predicted, prior, near_px):
+    def agreement(self, matches: TextureMatches, predicted: ObjectPose, prior: np.ndarray,
+                  near_px: float) -> tuple[ObjectPose, np.ndarray]:
         """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
         good = np.flatnonzero(matches.followed)
         agree = np.zeros(len(matches.followed), bool)
@@ -87,7 +89,8 @@ class CornerFit:
         rows, residual = self._rows(predicted, points, pixels)
         score = matches.score[good]
         if np.count_nonzero((residual**2).sum(axis=0) < AGREE_PX**2) > 0.7 * len(good):
-            best = np.zeros(rows.shape[2])            # the prediction is right already
+            # the prediction is right already
+            best: np.ndarray | None = np.zeros(rows.shape[2])
         else:
             best = self._sample(rows, residual, prior, score)
         if best is None:
@@ -109,13 +112,16 @@ class CornerFit:
         near = self.near(state, matches, near_px)
         return (state, near) if near.sum() >= MIN_TEXTURE else (predicted, agree)
 
-    def near(self, state, matches, near_px: float = AGREE_PX) -> np.ndarray:
+    def near(self, state: ObjectPose, matches: TextureMatches, near_px: float = AGREE_PX,
+             ) -> np.ndarray:
         """Which of the followed corners lie where a state puts them, (N,) bool."""
         seen = self.projection.project(state, matches.object_points).pixels
         square = ((matches.pixels - seen)**2).sum(axis=1)
-        return matches.followed & (square < near_px**2)
+        near: np.ndarray = matches.followed & (square < near_px**2)
+        return near
 
-    def _rows(self, state, points, pixels):
+    def _rows(self, state: ObjectPose, points: np.ndarray, pixels: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray]:
         """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
         seen = self.projection.project(state, points)
         n = len(points)
@@ -126,7 +132,8 @@ class CornerFit:
         rows = self.projection.rows(state, twice, way) @ self.basis
         return rows.reshape(2, n, -1), (pixels - seen.pixels).T
 
-    def _sample(self, rows, residual, prior, weight, samples=48):
+    def _sample(self, rows: np.ndarray, residual: np.ndarray, prior: np.ndarray,
+                weight: np.ndarray, samples: int = 48) -> np.ndarray | None:
         """Correction (m,) with most agreement out of many from three corners each."""
         n, m = rows.shape[1], rows.shape[2]
         pick = self.rng.integers(0, n, (samples, 3))
@@ -141,7 +148,8 @@ class CornerFit:
         best = int(score.argmax())
         return q[best] if score[best] > 0.5 else None
 
-    def terms(self, state, matches, agree, edge_share):
+    def terms(self, state: ObjectPose, matches: TextureMatches, agree: np.ndarray,
+              edge_share: float) -> tuple[np.ndarray, np.ndarray]:
         """Normal equations of the agreeing corners about a state."""
         rows, residual = self._rows(state, matches.object_points[agree],
                                     matches.pixels[agree])

@@ -76,7 +76,9 @@ class Face:
         """Texels that lie well inside of what is known of the face, (h, w), 255 or 0."""
         if self.all_known:
             return self.mask
-        return self.mask & cv2.erode(self.known, np.ones((13, 13), np.uint8), borderValue=255)
+        known = cv2.erode(self.known, np.ones((13, 13), np.uint8), borderValue=255)
+        usable: np.ndarray = self.mask & known
+        return usable
 
     def renew(self, picture: np.ndarray, area_px: float, seen: np.ndarray | None) -> bool:
         """
@@ -189,7 +191,9 @@ class Face:
 def _mean_change(one: np.ndarray, other: np.ndarray, limit: float) -> np.ndarray:
     """Where two pictures differ by less than a limit on average around a texel, 255 or 0."""
     change = cv2.blur(cv2.absdiff(one, other), (_AROUND, _AROUND))
-    return cv2.compare(change, limit, cv2.CMP_LT)    # type: ignore[call-overload]
+    near: np.ndarray = cv2.compare(      # type: ignore[call-overload]
+        change, limit, cv2.CMP_LT)
+    return near
 
 
 def lay_frame(corners: np.ndarray) -> Face:
@@ -225,7 +229,8 @@ def sample_points(face: Face) -> np.ndarray:
     if not len(rows):
         return np.repeat(face.corners.mean(axis=0)[None], 25, axis=0)
     pick = np.linspace(0, len(rows) - 1, 25).astype(int)
-    return face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
+    places: np.ndarray = face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
+    return places
 
 
 def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -256,5 +261,6 @@ def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray)
     b = ray @ side.T / scale
     depth = np.einsum('ti,ti->t', two, side) / scale
     with np.errstate(invalid='ignore'):
-        return ((a > -1e-9) & (b > -1e-9) & (a + b < 1 + 1e-9) & (depth > 1e-9)
-                & (depth < 1 - 1e-4)).any(axis=1)
+        hit: np.ndarray = ((a > -1e-9) & (b > -1e-9) & (a + b < 1 + 1e-9) & (depth > 1e-9)
+                           & (depth < 1 - 1e-4)).any(axis=1)
+        return hit

@@ -64,7 +64,8 @@ class _View:
     def common(self, state: ObjectPose) -> np.ndarray:
         """Covariance (6, 6) of the view's pose, carried to the camera axes of a pose."""
         carry = np.kron(np.eye(2), state.rotation @ self.rotation.T)
-        return carry @ self.covariance @ carry.T
+        spread: np.ndarray = carry @ self.covariance @ carry.T
+        return spread
 
 
 class SurfaceViews:
@@ -226,7 +227,8 @@ class SurfaceViews:
         pick = np.flatnonzero((cosine > _FOLLOW_COSINE) & (view.score > MIN_SCORE))
         shift = state.translation - state.rotation @ self._centre
         behind = self._visible.behind(view.points[pick] + self._centre, state.rotation, shift)
-        return pick[~behind]
+        shown: np.ndarray = pick[~behind]
+        return shown
 
     def _choose(self, region: Region, state: ObjectPose) -> np.ndarray:
         """Corners of a region (N, 2) that lie well inside of the object."""
@@ -243,7 +245,8 @@ class SurfaceViews:
                                               _APART_PX, mask=mask, blockSize=_BLOCK)
         return np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
 
-    def _on_surface(self, pixels: np.ndarray, state: ObjectPose):
+    def _on_surface(self, pixels: np.ndarray, state: ObjectPose,
+                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (N, 3) of the surface at pixels, normals, and cosines; -1 where there is none."""
         nowhere = np.zeros((len(pixels), 3))
         camera = -state.rotation.T @ state.translation
@@ -291,4 +294,5 @@ def _within(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def _distance(one: tuple[np.ndarray, float], other: tuple[np.ndarray, float]) -> float:
     """How far two aspects are from each other, 1 where that is worth a view of its own."""
     angle = np.arccos(np.clip(one[0] @ other[0], -1, 1))
-    return max(float(angle) / _NEW_VIEW_RAD, abs(np.log(one[1] / other[1])) / np.log(_NEW_SCALE))
+    return max(float(angle) / _NEW_VIEW_RAD,
+               float(abs(np.log(one[1] / other[1])) / np.log(_NEW_SCALE)))

@@ -22,6 +22,7 @@ that comes out from behind something is known again.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -95,8 +96,8 @@ class TextureMemory:
 
     """
 
-    def __init__(self, face_corners, triangles: np.ndarray, projection: Projection,
-                 most_points: int = 48):
+    def __init__(self, face_corners: Iterable[np.ndarray], triangles: np.ndarray,
+                 projection: Projection, most_points: int = 48) -> None:
         """Lay a frame into each face."""
         self.projection, self.most_points = projection, int(most_points)
         self._triangles = np.asarray(triangles, float).reshape(-1, 3, 3)
@@ -152,7 +153,8 @@ class TextureMemory:
         pixel[:2, :2] *= state.zoom
         pixel[:2, 2] -= region.corner
         pixel[:2] *= region.scale
-        return pixel @ plane
+        homography: np.ndarray = pixel @ plane
+        return homography
 
     def follow(self, region: Region, state: ObjectPose, levels: int = 3,
                much_hidden: bool = False) -> TextureMatches | None:
@@ -196,7 +198,8 @@ class TextureMemory:
         return TextureMatches(points, region.outside(found), good,
                               owner[:, 0], owner[:, 1], self._scores(owner))
 
-    def _draw(self, faces, state, region):
+    def _draw(self, faces: Iterable[int | np.integer], state: ObjectPose, region: Region,
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw faces; return the drawing and their corners: object frame, pixels, which."""
         height, width = region.image.shape
         # elsewhere the image itself: what is not the object shall not pull at its corners
@@ -233,7 +236,7 @@ class TextureMemory:
             owner.append(np.column_stack([np.full(len(good), k), good]))
         return drawing, np.concatenate(points), np.concatenate(pixels), np.concatenate(owner)
 
-    def _scores(self, owner):
+    def _scores(self, owner: np.ndarray) -> np.ndarray:
         """Scores of corners (face, corner)."""
         scores = np.empty(len(owner))
         for k in np.unique(owner[:, 0]):
@@ -248,7 +251,8 @@ class TextureMemory:
             if not face.judge(matches.corner[here], matches.followed[here], agree[here]):
                 self._choose(face)
 
-    def learn(self, region: Region, state: ObjectPose, confirmed: bool, covariance=None) -> None:
+    def learn(self, region: Region, state: ObjectPose, confirmed: bool,
+              covariance: np.ndarray | None = None) -> None:
         """
         Take the picture of visible faces: new ones at once, known ones little by little.
 
@@ -295,7 +299,7 @@ class TextureMemory:
                     continue
             self._take(face, picture, area, seen)
 
-    def _take(self, face: Face, picture: np.ndarray, area: float, seen) -> None:
+    def _take(self, face: Face, picture: np.ndarray, area: float, seen: np.ndarray | None) -> None:
         """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
         if face.young or area > _BETTER * face.quality:
             if face.renew(picture, area, seen):
@@ -358,4 +362,5 @@ def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,
     a -= a.mean(axis=1, keepdims=True)
     b -= b.mean(axis=1, keepdims=True)
     norm = np.einsum('ns,ns->n', a, a) * np.einsum('ns,ns->n', b, b)
-    return np.einsum('ns,ns->n', a, b) / np.sqrt(np.maximum(norm, 1.0))
+    likeness: np.ndarray = np.einsum('ns,ns->n', a, b) / np.sqrt(np.maximum(norm, 1.0))
+    return likeness

@@ -66,7 +66,8 @@ class ViewMemory:
 
     """
 
-    def __init__(self, projection: Projection, outline: np.ndarray, rng):
+    def __init__(self, projection: Projection, outline: np.ndarray, rng: np.random.Generator,
+                 ) -> None:
         """Start without any view."""
         self.projection, self.outline, self.rng = projection, outline, rng
         # OpenCV's stubs do not know the name that all its versions have
@@ -194,7 +195,8 @@ class ViewMemory:
         view.pixels = view.region.outside(np.array([p.pt for p in points]).reshape(-1, 2))
         view.descriptors, view.described = descriptors, True
 
-    def _by_features(self, view: _View, pixels, descriptors):
+    def _by_features(self, view: _View, pixels: np.ndarray, descriptors: np.ndarray,
+                     ) -> tuple[int, ObjectPose] | None:
         """Return (support, state) from one view, or None."""
         if not view.described:
             self._describe(view)
@@ -225,7 +227,8 @@ class ViewMemory:
         rotation = rotation_matrix(np.array([0, 0, turn])) @ state.rotation
         return support, ObjectPose(rotation, depth * np.array([*xy, 1.0]), state.zoom)
 
-    def _similarity(self, old, new, limit):
+    def _similarity(self, old: np.ndarray, new: np.ndarray, limit: float,
+                    ) -> tuple[int, float, float, np.ndarray, np.ndarray] | None:
         """Similarity from old to new pixels with most agreement, from samples of two."""
         n = len(old)
         a, b = self.rng.integers(0, n, 300), self.rng.integers(0, n, 300)

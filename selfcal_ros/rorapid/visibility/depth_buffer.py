@@ -70,7 +70,8 @@ class DepthBuffer:
 
         """
         x, y, depth = points
-        return depth > self._nearest[self._cells(x / depth, y / depth)] + nearer
+        hidden: np.ndarray = depth > self._nearest[self._cells(x / depth, y / depth)] + nearer
+        return hidden
 
     def ends_beside(self, points: np.ndarray, out: np.ndarray) -> np.ndarray:
         """
@@ -88,7 +89,9 @@ class DepthBuffer:
         ndarray of bool, shape (M,)
 
         """
-        return np.logical_and.reduce([np.isinf(depth) for depth in self._beside(points, out)])
+        ends: np.ndarray = np.logical_and.reduce([
+            np.isinf(depth) for depth in self._beside(points, out)])
+        return ends
 
     def farther_beside(self, points: np.ndarray, out: np.ndarray, by: float) -> np.ndarray:
         """
@@ -108,8 +111,9 @@ class DepthBuffer:
         ndarray of bool, shape (M,)
 
         """
-        return np.logical_and.reduce([
+        farther: np.ndarray = np.logical_and.reduce([
             np.isfinite(depth) & (depth > points[2] + by) for depth in self._beside(points, out)])
+        return farther
 
     def _beside(self, points: np.ndarray, out: np.ndarray) -> list[np.ndarray]:
         """Return the nearest depths (M,) in two cells beside points, infinite without any."""
@@ -125,4 +129,5 @@ class DepthBuffer:
         last = self._side - 1
         column = np.maximum((x - self._left) / self._step + _AROUND, 0).astype(int)
         row = np.maximum((y - self._top) / self._step + _AROUND, 0).astype(int)
-        return np.minimum(column, last) * self._side + np.minimum(row, last)
+        cell: np.ndarray = np.minimum(column, last) * self._side + np.minimum(row, last)
+        return cell

@@ -22,9 +22,11 @@ lines, exactly, in perspective as well.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from selfcal_ros.values.wireframe import across_axes
+from selfcal_ros.values.wireframe import across_axes, Cylinder
 
 #: Chords shorter than this share of the object's diameter hide nothing.
 _TOUCHING = 1e-6
@@ -43,7 +45,8 @@ class SolidCylinders:
 
     """
 
-    def __init__(self, cylinders, control_points_per_line: int, diameter_m: float):
+    def __init__(self, cylinders: Sequence[Cylinder], control_points_per_line: int,
+                 diameter_m: float) -> None:
         """Keep axes and radii as arrays."""
         self._start = np.array([c.start for c in cylinders])
         self._axis = np.array([c.end for c in cylinders]) - self._start
@@ -56,7 +59,7 @@ class SolidCylinders:
         self._owner = np.repeat(np.arange(len(cylinders)), 2 * n)
         self._touching_m = _TOUCHING * diameter_m
 
-    def silhouettes(self, centre: np.ndarray):
+    def silhouettes(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
         Control points on the outlines seen from a point.
 
@@ -93,7 +96,8 @@ class SolidCylinders:
         axis = self._axis[owner]
         out = self._start[owner] - points
         out = out - (out * axis).sum(axis=1, keepdims=True) * axis
-        return out / self._radius[owner, None]
+        unit: np.ndarray = out / self._radius[owner, None]
+        return unit
 
     def hidden(self, points: np.ndarray, centre: np.ndarray, own: bool = False) -> np.ndarray:
         """
@@ -138,4 +142,5 @@ class SolidCylinders:
         hides = chord > self._touching_m
         if own:
             hides &= self._owner[:, None] != np.arange(len(self._radius))
-        return hides.any(axis=1)
+        hidden: np.ndarray = hides.any(axis=1)
+        return hidden

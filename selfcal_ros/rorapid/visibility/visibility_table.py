@@ -24,6 +24,8 @@ asked for.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -64,7 +66,7 @@ class VisibilityTable(VisibleModel):
     """
 
     def __init__(self, model: WireframeModel, nearest_m: float, farthest_m: float,
-                 subdivisions: int = 3, **options):
+                 subdivisions: int = 3, **options: Any) -> None:
         """Fill the table."""
         super().__init__(model, **options)
         if not 0 < nearest_m < farthest_m < np.inf:
@@ -84,7 +86,7 @@ class VisibilityTable(VisibleModel):
                                            cells)
         self._doubtful = [np.flatnonzero(triangles) for triangles in doubtful]
 
-    def _fill(self, corners, cells):
+    def _fill(self, corners: np.ndarray, cells: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """
         Fill the table from the corners (N, 2, 3) and those of each cell.
 
@@ -103,14 +105,14 @@ class VisibilityTable(VisibleModel):
             within = np.stack([inside[cell].all(axis=(0, 1)) for cell in cells])
             without = np.stack([~inside[cell].any(axis=(0, 1)) for cell in cells])
             drawn_on = self._on_face[part]
-            hidden = (within.all(axis=-1) & ~drawn_on).any(axis=-1)
+            hidden = np.asarray((within.all(axis=-1) & ~drawn_on).any(axis=-1))
             may_hide = ~without.any(axis=-1) & ~drawn_on & ~hidden[..., None]
             state[:, part] = np.where(hidden, _HIDDEN,
                                       np.where(may_hide.any(axis=-1), _UNSURE, _VISIBLE))
             doubtful |= may_hide.any(axis=1)
         return state, doubtful
 
-    def _inside(self, points, corners):
+    def _inside(self, points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         """Tell which corners lie inside the planes, (N, 2, points, triangles, 4) bool."""
         a, b, c = (self._corners[None, :, k] - points[:, None] for k in range(3))
         normals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
@@ -122,9 +124,10 @@ class VisibilityTable(VisibleModel):
         offset = (points[:, None, None] * planes).sum(axis=-1)
         offset[:, :, 3] += np.abs(volume)
         flat = corners.reshape(-1, 3) @ planes.reshape(-1, 3).T - offset.ravel()
-        return (flat > 0).reshape(*corners.shape[:2], *offset.shape)
+        inside: np.ndarray = (flat > 0).reshape(*corners.shape[:2], *offset.shape)
+        return inside
 
-    def _hidden_static(self, centre):
+    def _hidden_static(self, centre: np.ndarray) -> np.ndarray:
         """Look up; test what depends on where in its block the camera is."""
         offset = centre - self.model.centre
         distance = np.linalg.norm(offset)
@@ -132,7 +135,7 @@ class VisibilityTable(VisibleModel):
             return super()._hidden_static(centre)
         cell = (self._directions @ offset).argmax()
         state = self._state[cell]
-        hidden = state == _HIDDEN
+        hidden: np.ndarray = state == _HIDDEN
         unsure = np.flatnonzero(state == _UNSURE)
         if len(unsure):
             hidden[unsure] = self.hidden(self._points[unsure], centre, self._on_face[unsure],
@@ -145,7 +148,7 @@ class VisibilityTable(VisibleModel):
         return float((self._state != _UNSURE).mean()) if self._state.size else 1.0
 
 
-def _view_sphere(subdivisions):
+def _view_sphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], float]:
     """
     Cut the unit sphere evenly into the cells that are nearest to one direction each.
 

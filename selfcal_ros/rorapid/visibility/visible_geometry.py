@@ -61,14 +61,15 @@ class ControlPoints:
     kind: tuple[str, ...]
     names: tuple[str, ...]
 
-    def __len__(self):
+    def __len__(self) -> int:
         """Return the number of control points."""
         return len(self.ids)
 
     @property
     def contour(self) -> np.ndarray:
         """Where the background is seen on one side, (C,) bool."""
-        return np.any(self.inward, axis=1)
+        known: np.ndarray = np.any(self.inward, axis=1)
+        return known
 
 
 class VisibleGeometry(Protocol):
@@ -151,7 +152,7 @@ class SurfaceGeometry(VisibleGeometry, Protocol):
         """The mesh."""
 
     def mask(self, rotation: ArrayLike, translation: ArrayLike, shape: tuple[int, int],
-             place: Callable) -> np.ndarray:
+             place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Mask (shape) of the object in an image, roughly, 255 on it; see `VisibleMesh.mask`."""
 
     def behind(self, points: np.ndarray, rotation: np.ndarray,

@@ -195,7 +195,7 @@ class VisibleMesh:
         return ControlPoints(both, slopes, self.primitive[kept], np.ones(len(kept), bool), kept,
                              inward, self.kind, self.names)
 
-    def _rim(self, centre):
+    def _rim(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points, tangents and normals (N, 3) where smooth parts turn away from a camera."""
         away = self._heights - self._normals @ centre
         back = away < 0
@@ -209,7 +209,7 @@ class VisibleMesh:
         return points, tangents / np.maximum(length, 1e-300), normals
 
     def mask(self, rotation: ArrayLike, translation: ArrayLike, shape: tuple[int, int],
-             place: Callable) -> np.ndarray:
+             place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """
         Mask of the object in an image, roughly: its surface's points, joined.
 
@@ -247,11 +247,12 @@ class VisibleMesh:
         return buffer.hides(rotation @ points.T + translation[:, None],
                             _NEARER * self.model.diameter_m)
 
-    def _spread(self, seen, keep, most):
+    def _spread(self, seen: np.ndarray, keep: np.ndarray, most: int) -> np.ndarray:
         """Choose at most so many places (N, 3, camera frame), spread evenly around the object."""
         if len(keep) <= most:
             order = self._around(seen)
-            return keep[order]
+            kept: np.ndarray = keep[order]
+            return kept
         order = self._around(seen)
         xy = (seen[:, :2] / seen[:, 2:])[order]
         step = np.minimum(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[-1:]), axis=1),
@@ -259,10 +260,11 @@ class VisibleMesh:
         along = np.cumsum(step)
         pick = np.searchsorted(along, (np.arange(most) + 0.5) / most
                                * along[-1])
-        return keep[order[np.unique(np.minimum(pick, len(order) - 1))]]
+        chosen: np.ndarray = keep[order[np.unique(np.minimum(pick, len(order) - 1))]]
+        return chosen
 
     @staticmethod
-    def _around(seen):
+    def _around(seen: np.ndarray) -> np.ndarray:
         xy = seen[:, :2] / seen[:, 2:]
         middle = 0.5 * (xy.min(axis=0) + xy.max(axis=0)) if len(xy) else np.zeros(2)
         return np.argsort(np.arctan2(*(xy - middle).T[::-1]), kind='stable')

@@ -141,7 +141,7 @@ class VisibleModel:
         self._min_length = np.maximum(model.line_min_length_px, min_length_px)
         self._sides = self._contour_sides()
 
-    def _drawn_on(self, ends):
+    def _drawn_on(self, ends: np.ndarray) -> np.ndarray:
         """For each static control point and each triangle: does the one lie in the other."""
         model = self.model
         normals = model.face_normals[model.triangle_face]
@@ -150,7 +150,7 @@ class VisibleModel:
         worst = np.concatenate([np.abs(part @ normals.T - offset).max(axis=1) for part in spans])
         return np.repeat(worst < ON_FACE * model.diameter_m, self.counts[:len(worst)], axis=0)
 
-    def _contour_sides(self):
+    def _contour_sides(self) -> np.ndarray:
         """Directions (L, K, 3) from each line into its faces; the first is repeated."""
         faces = self.model.line_faces
         sides = np.zeros((self._L, max([2, *map(len, faces)]), 3))
@@ -199,10 +199,11 @@ class VisibleModel:
         primitive, first = self.primitive, np.cumsum(other.counts) - other.counts
         place = np.arange(self.size) - self._first[primitive] + 0.5
         along = place / self.counts[primitive] * other.counts[primitive]
-        return first[primitive] + along.astype(int)
+        points: np.ndarray = first[primitive] + along.astype(int)
+        return points
 
-    def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None,
-               triangles=None) -> np.ndarray:
+    def hidden(self, points: np.ndarray, centre: np.ndarray, on_face: np.ndarray | None = None,
+               triangles: np.ndarray | None = None) -> np.ndarray:
         """
         Tell which points are hidden by the faces.
 
@@ -279,22 +280,24 @@ class VisibleModel:
         visible = ~hidden & ((points - centre) @ rotation[2] > 0)
         seen = np.add.reduceat(visible, self._first) >= self.min_visible
         if focal_px is not None:
-            seen[:self._L] &= self._large_enough(rotation, translation, focal_px)
+            seen[:self._L] &= self._large_enough(
+                rotation, np.asarray(translation, float), focal_px)
         keep = np.flatnonzero(seen[self.primitive])
         primitive = self.primitive[keep]
         return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
                              keep, self._inward(centre, points, keep), self.kind, self.names)
 
-    def _hidden_static(self, centre):
+    def _hidden_static(self, centre: np.ndarray) -> np.ndarray:
         """Which points of lines and conics the faces hide from a camera there, (N,) bool."""
         return self.hidden(self._points, centre, self._on_face)
 
-    def _large_enough(self, rotation, translation, focal_px):
+    def _large_enough(self, rotation: np.ndarray, translation: np.ndarray, focal_px: float,
+                      ) -> np.ndarray:
         """Which lines are long enough in the image, on a face that is large enough, (L,) bool."""
         points = self.model.vertices @ rotation.T + translation
         xy = focal_px * points[:, :2] / np.maximum(points[:, 2:], 1e-3 * self.model.diameter_m)
         span = xy[self.model.lines[:, 1]] - xy[self.model.lines[:, 0]]
-        enough = np.hypot(*span.T) >= self._min_length
+        enough: np.ndarray = np.hypot(*span.T) >= self._min_length
         if self._has_min_area:
             a, b, c = np.moveaxis(xy[self.model.triangles], 1, 0)
             b, c = b - a, c - a
@@ -304,16 +307,16 @@ class VisibleModel:
             enough &= [not sides or large[list(sides)].any() for sides in self.model.line_faces]
         return enough
 
-    def _inward(self, centre, points, keep):
+    def _inward(self, centre: np.ndarray, points: np.ndarray, keep: np.ndarray) -> np.ndarray:
         """Directions into the object where faces are seen on one side only, (C, 3)."""
-        inward = np.zeros((len(self.kind), 3))
+        of_primitive = np.zeros((len(self.kind), 3))
         if self._L:
             view = _cross(self._ends[:, 0] - centre, self._ends[:, 1] - centre)
             side = (self._sides * view[:, None]).sum(axis=2)
             contour = side.min(axis=1) * side.max(axis=1) > 0
-            inward[:self._L] = np.where(contour[:, None], self._sides[:, 0], 0.0)
+            of_primitive[:self._L] = np.where(contour[:, None], self._sides[:, 0], 0.0)
         primitive = self.primitive[keep]
-        inward = inward[primitive]
+        inward: np.ndarray = of_primitive[primitive]
         if self._solids is not None:
             round_part = np.flatnonzero(keep >= self._static)
             inward[round_part] = self._solids.towards_axis(points[keep[round_part]], (
@@ -321,6 +324,7 @@ class VisibleModel:
         return inward
 
 
-def _cross(a, b):
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products of rows (N, 3); numpy's own is slow on small arrays."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    cross: np.ndarray = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    return cross
