@@ -199,6 +199,8 @@ def test_a_single_thing_is_spoken_of_as_one(kind, values, said):
     ('{a:percent} %', {'a': 0.354}, '35 %'),
     ('{n} group{n:plural}', {'n': 1}, '1 group'),
     ('{n} group{n:plural}', {'n': 2}, '2 groups'),
+    ('{share:.1%} of it', {'share': 0.0184}, '1.8 % of it'),
+    ('{share:.0%} of it', {'share': None}, 'unknown of it'),
     ('{n} {n:match|matches}', {'n': 1}, '1 match'),
     ('{n} {n:match|matches}', {'n': 2}, '2 matches'),
     ('{n} {n:match|matches}', {'n': 0}, '0 matches'),

@@ -65,6 +65,8 @@ class _Words(Formatter):
         if '|' in format_spec:
             one, many = format_spec.split('|')
             return one if value == 1 else many
+        if format_spec.endswith('%') and value is not None:
+            return f'{100 * value:{format_spec[:-1]}f} %'
         if isinstance(value, (list, tuple)):
             return ', '.join(str(one).replace('_', ' ') for one in value)
         return 'unknown' if value is None else format(value, format_spec)

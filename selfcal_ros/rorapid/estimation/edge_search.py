@@ -46,6 +46,9 @@ _STRONG = 40.0
 _NOISE_EVERY = 2
 #: Pixels beside a guessed outline that are learned from.
 _GLANCE_PX = 10
+#: Standard deviation of an edge where a round part turns away before another one, over that of a
+#: line: both of its sides are shaded, which draws all of them one way.
+_BEFORE_PART = 3.5
 
 
 class EdgeSearch:
@@ -260,6 +263,7 @@ class EdgeSearch:
             shift, worse[limb] = limb_shift(profiles[limb], edgels.offset[limb],
                                             edgels.contrast[limb], view.inside[at[limb]])
             offset[limb] -= shift
+        worse[~view.must_show[at]] = _BEFORE_PART
         penalty = contrast_penalty(edgels.contrast, wanted)
         if self._greys is not None:
             penalty += self._greys.penalty(profiles, pixels, view.inside[at], offset)
