@@ -21,7 +21,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, written_line
 from selfcal_ros.cli.parsing import add_seed_argument, start_pose
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -129,6 +129,7 @@ def run(args: argparse.Namespace) -> int:
                   {'--output': args.output, '--overlay': args.overlay})
     for overlay in overlays:
         check_video_path(overlay)
+    earlier = [path for path in (*outputs, *overlays) if path.is_file()]
     models = [read_model(path, args.model_scale) for path in paths]
     starts = [None if word == AUTO else read_start(word, args.clicks, camera)
               for word in parted_starts(args.init or '', len(paths))]
@@ -148,11 +149,11 @@ def run(args: argparse.Namespace) -> int:
         for remark in getattr(model, 'remarks', ()):
             print(f'{path}: {remark}', file=sys.stderr)
     written = [table.write(output) for table, output in zip(tables, outputs)]
-    tell(names, runs, [*written, *overlays], args.quiet)
+    tell(names, runs, written_line([*written, *overlays], earlier), args.quiet)
     return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 
 
-def tell(names, runs, written, quiet: bool) -> None:
+def tell(names, runs, written: str, quiet: bool) -> None:
     """
     Print how it went; if quiet, only what was lost.
 
@@ -161,7 +162,8 @@ def tell(names, runs, written, quiet: bool) -> None:
     names : sequence of str
         Of the objects.
     runs : sequence of TrackingRun
-    written : sequence of Path
+    written : str
+        Which files it left, in words.
     quiet : bool
 
     """
@@ -172,7 +174,7 @@ def tell(names, runs, written, quiet: bool) -> None:
         elif not run.followed:
             print(text, file=sys.stderr)
     if not quiet:
-        print(f'Written: {", ".join(map(str, written))}.')
+        print(written)
 
 
 def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,

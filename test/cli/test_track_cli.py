@@ -59,6 +59,14 @@ def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
     assert ',lost,,,' in Path('poses.csv').read_text(encoding='utf-8')
 
 
+def test_poses_of_an_earlier_run_are_said_to_be_replaced(capsys):
+    write_image_folder(tracked_object(2, 'cube', size=(480, 360)), 'two')
+    Path('poses.csv').write_text('of an earlier run', encoding='utf-8')
+    selfcal('track', 'two', *OBJECT, *CAMERA)
+    assert 'Written: poses.csv (replaced).' in capsys.readouterr().out
+    assert 'earlier' not in Path('poses.csv').read_text(encoding='utf-8')
+
+
 @pytest.mark.parametrize('arguments, words', [
     (['nowhere.mcap', *OBJECT, *CAMERA], 'nowhere.mcap does not exist'),
     ([BAG, *OBJECT[:2], *CAMERA], 'Say where the object is'),
