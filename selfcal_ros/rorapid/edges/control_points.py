@@ -77,8 +77,8 @@ class ControlView:
     @property
     def contour(self) -> np.ndarray:
         """Where the background is seen on one side, (C,) bool."""
-        curved: np.ndarray = self.inside != 0
-        return curved
+        beside: np.ndarray = self.inside != 0
+        return beside
 
     @property
     def must_show(self) -> np.ndarray:
