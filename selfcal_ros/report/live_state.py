@@ -186,7 +186,7 @@ class LiveState:
             left=self._turned['left'], right=self._turned['right'], rate=self._rate,
             coverage=self.coverage, empty=self._emptiest(),
             sigma_share=sigma / fx if fx > 0 else None,
-            saved=values.get('calibration file', '') if values.get('saved') == 'True' else ''))
+            saved=values.get('calibration file', '') if self._is_saved else ''))
 
     def _note(self, now_s: float) -> str:
         """Return what the tracker warns of, without being stopped by it."""
@@ -202,6 +202,11 @@ class LiveState:
         words = (('top', 'middle', 'bottom')[row], ('left', 'middle', 'right')[column])
         return 'middle' if words == ('middle', 'middle') else ' '.join(
             word for word in words if word != 'middle')
+
+    @property
+    def _is_saved(self) -> bool:
+        """Whether the file holds the calibration in force."""
+        return self._status[2].get('saved') == 'True'
 
     def _source(self) -> str:
         """Tell where the numbers that are shown come from: '' where there are none."""
@@ -238,7 +243,7 @@ class LiveState:
         if not source:
             return (f'{path} holds the calibration that was saved at {saved_at}.' if saved_at
                     else '')
-        if values.get('saved') == 'True':
+        if self._is_saved:
             return f'Saved in {path} at {saved_at}.'
         if saved_at:
             return (f'{path} holds the numbers of {saved_at}. Those here are newer: save them, '
@@ -258,7 +263,7 @@ class LiveState:
             'motion': values.get('motion', ''),
             'rms_px': _number(values, 'reprojection_rms_px', None),
             'parameters': self._parameters(), 'source': self._source(), 'kept': self._kept(),
-            'is_saved': values.get('saved') == 'True',
+            'is_saved': self._is_saved,
             'history': list(self._history),
             'now': round(now_s - (now_s if self._began_s is None else self._began_s), 1),
             'coverage': {'columns': COLUMNS, 'rows': ROWS, 'share': round(self.coverage, 3),

@@ -64,5 +64,5 @@ def _turning_axis_to(ray: np.ndarray) -> np.ndarray:
     """Smallest rotation (3, 3) that takes the optical axis to a unit ray."""
     x, y, z = ray
     turn: np.ndarray = np.eye(3) + np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]]) - np.array(
-                    [[x * x, x * y, 0], [x * y, y * y, 0], [0, 0, x * x + y * y]]) / (1 + z)
+        [[x * x, x * y, 0], [x * y, y * y, 0], [0, 0, x * x + y * y]]) / (1 + z)
     return turn

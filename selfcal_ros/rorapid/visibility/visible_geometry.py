@@ -47,7 +47,8 @@ class ControlPoints:
         Direction from the outline into the object, object frame; zero where the object, not the
         background, is seen on both sides of the primitive.
     kind : tuple of str, length P
-        'line', 'conic' or 'silhouette' for each primitive of the model.
+        'line', 'conic' or 'silhouette' for each primitive of the model; of a mesh 'line', 'rim'
+        (before another part of it) or 'contour' (before the background).
     names : tuple of str, length P
 
     """

@@ -249,17 +249,15 @@ class VisibleMesh:
 
     def _spread(self, seen: np.ndarray, keep: np.ndarray, most: int) -> np.ndarray:
         """Choose at most so many places (N, 3, camera frame), spread evenly around the object."""
+        order = self._around(seen)
         if len(keep) <= most:
-            order = self._around(seen)
             kept: np.ndarray = keep[order]
             return kept
-        order = self._around(seen)
         xy = (seen[:, :2] / seen[:, 2:])[order]
         step = np.minimum(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[-1:]), axis=1),
                           4 * np.ptp(xy, axis=0).max() / len(xy))
         along = np.cumsum(step)
-        pick = np.searchsorted(along, (np.arange(most) + 0.5) / most
-                               * along[-1])
+        pick = np.searchsorted(along, (np.arange(most) + 0.5) / most * along[-1])
         chosen: np.ndarray = keep[order[np.unique(np.minimum(pick, len(order) - 1))]]
         return chosen
 

@@ -132,7 +132,7 @@ class VisibleModel:
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
-        #: Primitives from this on are pieces of one outline: none.
+        #: Primitives from this on are pieces of rims: none.
         self.outline = len(self.kind)
         #: Primitives from this on are limbs of round parts.
         self.limb = L + K
