@@ -43,6 +43,8 @@ EXPECTED = {
     'tools': (r"could not import '(flake8|mypy)'.*", r'(MkDocs|mypy) is not installed',
               r'selfcal is not installed in this environment'),
 }
+#: Files whose single tests take longest.
+LONGEST = ('test/test_lint.py', 'test/test_install.py', 'test/bench/test_worlds_found_wrong.py')
 
 
 def pytest_addoption(parser):
@@ -94,6 +96,11 @@ class Skips:
         for reason in self.unexpected():
             terminalreporter.line(f'UNEXPECTED SKIP: {reason} (test/conftest.py lists the '
                                   'reasons that are expected)', red=True)
+
+
+def pytest_collection_modifyitems(items):
+    """Put what takes longest first: at the end the other process would wait for it."""
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
 
 
 def pytest_configure(config):

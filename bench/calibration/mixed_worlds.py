@@ -34,6 +34,9 @@ import numpy as np
 
 #: Names of motions, and how often each is drawn.
 MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, 'arc': 0.1}
+#: Worlds that were found wrong once, and take too long for the tests: for a plane that left 1.6
+#: times what pairs do; for what pairs of a fisheye show, which was no parallax.
+ONCE_WRONG = (135, 32113)
 #: What happens to the tracks afterwards; a quarter of the worlds has one of them.
 SPOILT = {'stabilised': further_worlds.stabilised(0.4), 'half pixels': further_worlds.rounded(0.5),
           'levels of a pyramid': further_worlds.of_levels,
@@ -184,7 +187,7 @@ def run(report: Report, options) -> None:
     if load_worlds() is None:
         report.say('left out: ../shared/world_cases.py is not there')
         return
-    seeds = range(30001, 30001 + (options.runs or 300))
+    seeds = (*ONCE_WRONG, *range(30001, 30001 + (options.runs or 300)))
     report.section(f'{len(seeds)} worlds drawn at random',
                    f'silent: K beyond {MAX_SIGMAS:g} sigmas, and nothing said that is about K. '
                    'Zooms have no single truth, and do not count.')
