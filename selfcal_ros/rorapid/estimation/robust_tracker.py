@@ -43,9 +43,9 @@ from selfcal_ros.rorapid.texture.view_memory import ViewMemory
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
-#: Corners are hidden, not blurred, where fewer than this can be followed; and where fewer than
-#: the second share can be, though most of them agree.
-_HIDDEN, _HIDDEN_AGREEING = 0.4, 0.5
+#: Corners are hidden, not blurred, where fewer than this share can be followed, and most of those
+#: agree.
+_HIDDEN = 0.5
 #: An edgel agrees within this, pixels.
 _FOUND_PX = 1.75
 #: Search range once the object is nearly there, pixels.
@@ -385,8 +385,7 @@ def _hidden(corners: AgreeingCorners) -> bool:
     if corners.matches is None:
         return False
     followed = corners.matches.followed
-    return bool(followed.mean() < _HIDDEN or (followed.mean() < _HIDDEN_AGREEING
-                                              and corners.agree.sum() > 0.5 * followed.sum()))
+    return bool(followed.mean() < _HIDDEN and corners.agree.sum() > 0.5 * followed.sum())
 
 
 def _quality(measured: PoseMeasurement) -> tuple[float, float]:
