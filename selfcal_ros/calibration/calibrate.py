@@ -45,7 +45,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
@@ -132,7 +132,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     except np.linalg.LinAlgError:
         _LOGGER.debug('equations without a solution', exc_info=True)
         return NotCalibrated.of(NoEstimate('equations_singular'), frames=tracks.frames,
-                                facts=facts, software=f'selfcal_ros {__version__}')
+                                facts=facts, software=SOFTWARE)
 
 
 def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.Generator,
@@ -140,7 +140,6 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
                 views: int | None) -> Calibration | NotCalibrated:
     """Calibrate by one motion or by the one that is found."""
     tracks = replace(tracks, image_size=tracks.image_size or _size_from(tracks))
-    software = f'selfcal_ros {__version__}'
     # objects of one image are no views
     extents = TrackExtents.measured(tracks) if motion != 'repeated' else None
     still = None if extents is None else find_still_tracks(tracks, extents)
@@ -151,17 +150,17 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
             translation_frames=translation_frames, views=views), rest, still)
     if extents is not None and extents.nothing_moves:
         return NotCalibrated.of(NoEstimate('nothing_moves', images=len(tracks.frames)),
-                                frames=tracks.frames, facts=facts, software=software)
+                                frames=tracks.frames, facts=facts, software=SOFTWARE)
     if views is not None:
         tracks = spread_views(tracks, views)
     graph = build_view_graph(tracks, rng, straight=facts.distortion == 'none')
     if isinstance(graph, NoEstimate):
         refusal = refused_for_objects(graph) if motion == 'repeated' else graph
-        return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)
+        return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=SOFTWARE)
     mirrored = mirrored_views(graph) if motion != 'repeated' else None
     if mirrored is not None:
         return NotCalibrated.of(NoEstimate('images_mirrored', mirrored=tuple(
-            graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=software)
+            graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=SOFTWARE)
     result = _of_graph(graph, tracks, motion, facts, rng, start, translation_frames, views)
     if views is not None or motion not in MOTION_MODELS:
         return result
@@ -173,7 +172,6 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
               translation_frames: Sequence[int] | None, views: int | None,
               ) -> Calibration | NotCalibrated:
     """Calibrate from connected views by one motion or by the one that is found."""
-    software = f'selfcal_ros {__version__}'
     size = tracks.image_size
     assert size is not None
     result: Calibration | NoEstimate
@@ -193,12 +191,12 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
                                     start=start)
             if of_one:
                 return of_one
-        return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)
-    result = replace(result, software=software)
+        return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=SOFTWARE)
+    result = replace(result, software=SOFTWARE)
     # the last gate is one for all motions
     hint = only_a_hint(result)
     return result if hint is None else NotCalibrated.of(hint, frames=result.frames,
-                                                        software=software)
+                                                        software=SOFTWARE)
 
 
 def _proposals(start: Camera | None) -> list[Camera]:

@@ -44,7 +44,7 @@ from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 #: Focal lengths to begin with, over the longer side of the image.
 FOCAL_FRACTIONS = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
@@ -166,7 +166,7 @@ def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, pr
 def _unfollowed(passage: _Passage, facts: CameraFacts) -> NotCalibrated:
     return NotCalibrated.of(NoEstimate('object_not_followed', why=passage.reason.rstrip('.')),
                             motion='known-object', facts=facts,
-                            software=f'selfcal_ros {__version__}')
+                            software=SOFTWARE)
 
 
 def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
@@ -221,7 +221,7 @@ def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
             break
     if result is None:
         result = NotCalibrated.of(NoEstimate('edges_not_measured'), motion='known-object',
-                                  facts=facts, software=f'selfcal_ros {__version__}')
+                                  facts=facts, software=SOFTWARE)
     return result, edges
 
 

@@ -46,7 +46,7 @@ from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 MOTION = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
@@ -169,12 +169,11 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
 
     """
     facts = CameraFacts(skew=0.0) if facts is None else facts
-    software = f'selfcal_ros {__version__}'
     result = _calibrate(views.select(np.ones(len(views), bool)), start, facts)
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=views.frames, facts=facts, motion=MOTION,
-                                software=software)
-    return replace(result, software=software)
+                                software=SOFTWARE)
+    return replace(result, software=SOFTWARE)
 
 
 def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibration | NoEstimate:

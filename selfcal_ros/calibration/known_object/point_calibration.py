@@ -49,7 +49,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
 MOTION = 'known-object'
@@ -121,7 +121,6 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts = CameraFacts() if facts is None else facts
     width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
     size = tracks.image_size or (int(width), int(height))
-    software = f'selfcal_ros {__version__}'
     result: Calibration | NoEstimate
     try:
         result = _calibrate(tracks, target, size, facts, flatness)
@@ -130,8 +129,8 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
         result = NoEstimate('equations_singular')
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=tracks.frames, facts=facts, motion=MOTION,
-                                software=software)
-    return replace(result, software=software)
+                                software=SOFTWARE)
+    return replace(result, software=SOFTWARE)
 
 
 def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],

@@ -42,7 +42,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 #: Cameras that are rigid to each other leave less than so many times what each leaves alone.
 RIGID = 2.0
@@ -205,7 +205,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         reprojection_rms_px=rms_length(residuals),
         observation_count=len(fit.observations.view), outlier_count=fit.outliers,
         reconstruction=next(iter(cameras.values())).reconstructed, alone=dict(alone),
-        findings=findings, software=f'selfcal_ros {__version__}')
+        findings=findings, software=SOFTWARE)
 
 
 def _spread(centres: np.ndarray) -> float:
@@ -270,7 +270,7 @@ def _camera(optimum: RigOptimum, found: AssessedEstimate, k: int, covariance: np
         reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=int(rows.sum()),
         outlier_count=int(np.count_nonzero(offered == k) - rows.sum()),
-        software=f'selfcal_ros {__version__}',
+        software=SOFTWARE,
         reconstruction=Reconstruction(
             frames, path[seen], fit.observations.track[at],
             points / np.linalg.norm(points, axis=1, keepdims=True),
