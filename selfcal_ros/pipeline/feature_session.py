@@ -207,8 +207,8 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
         raise InputError(f'{source.path} gives one image, and a calibration needs three at '
                          'least, from different places.')
     if not len(found.tracks) and _rests(found.findings):
-        raise InputError(f'Nothing moves in the {images} images of {source.path}: they all show '
-                         'the same from one place.')
+        still = Finding('nothing_moves', images=images)
+        raise InputError(f'{source.path}: {still.clause}. {still.advice}')
     if not len(found.tracks):
         within = ', also within the mask' if mask else ''
         raise InputError(f'No point could be followed through the {images} images of '
