@@ -227,5 +227,5 @@ def _rests(findings: Sequence[Finding]) -> bool:
 
 
 def generator(seed: int) -> np.random.Generator | None:
-    """Return what draws by a seed; None for 0: each step then has a fixed one of its own."""
+    """Return a generator of a seed; None for 0, where every step has a fixed seed of its own."""
     return np.random.default_rng(seed) if seed else None
