@@ -36,6 +36,8 @@ from selfcal_ros.calibration.bundle.rig_model import RigModel
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import (SHARE_OF_COST, TO_COMPARE, TO_ESTIMATE,
+                                                       TO_GO_ON)
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -315,8 +317,9 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
             if observations is not offered:
                 bundle = bundle_of(observations, motion, priors, sigma_px)
         # no finer than the choice of outliers needs
-        state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
-                 if k == 0 else bundle.optimise(state, iterations=3, tolerance=1.0))
+        iterations, tolerance = ((12, SHARE_OF_COST * bundle.cost(state)) if k == 0
+                                 else (3, TO_GO_ON))
+        state = bundle.optimise(state, iterations, tolerance)
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):
             break
@@ -372,7 +375,7 @@ def _predicted(bundle: Bundle[SceneState], observations: Observations, state: Sc
 def _optimum(bundle: Bundle[SceneState], state: SceneState, motion: MotionModel) -> SceneState:
     """Optimise, and from the nearest point that may rest, too; return the better one."""
     starts = [state, resting_near(state) if motion.fixed_pivot else None]
-    optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=0.02)
+    optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=TO_ESTIMATE)
                                 for one in starts if one is not None]
     return min(optima, key=bundle.cost)
 
@@ -380,7 +383,8 @@ def _optimum(bundle: Bundle[SceneState], state: SceneState, motion: MotionModel)
 def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) -> RobustFit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
-    state = bundle.optimise(fit.state if state is None else state, iterations=40, tolerance=0.05)
+    state = bundle.optimise(fit.state if state is None else state, iterations=40,
+                            tolerance=TO_COMPARE)
     return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 

@@ -37,6 +37,7 @@ from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_f
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEASURE
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            unchecked)
@@ -233,7 +234,8 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
     best, least = None, np.inf
     for K in _starting_cameras(conic, size, facts):
         state = _start(K, H, order, observed, priors.lens.name)
-        state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
+        state = bundle.optimise(with_fixed(state, priors), iterations=30,
+                                tolerance=TO_COMPARE_ROUGHLY)
         cost = bundle.cost(state)
         left_px = bundle.noise_sigma(state)
         # where no rotation is expected, two starts with one optimum speak for the others
@@ -257,7 +259,7 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
     bundle = bundle_of(observed, motion, priors, 1.0)
     state = with_fixed(state, priors)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
-    state = bundle.optimise(state, iterations=30, tolerance=0.1)
+    state = bundle.optimise(state, iterations=30, tolerance=TO_COMPARE_ROUGHLY)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
     fit = RobustFit(bundle, state, observed, 0)
     if motion.zoom is not None:
@@ -337,7 +339,7 @@ def _without_gross_errors(fit: RobustFit, found: RotationFit) -> RobustFit:
                 break
             observed, state = smaller, replace(state, points=state.points[points])
         bundle = bundle_of(observed, fit.motion, priors, sigma)
-        state = bundle.optimise(state, iterations=30, tolerance=0.01)
+        state = bundle.optimise(state, iterations=30, tolerance=TO_MEASURE)
         if near.all():
             break
     bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess, SEGMENTS
 from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentring
@@ -311,7 +312,7 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     """
     priors, lens = fit.bundle.priors, fit.state.lens
     bundle = fit.bundle.with_priors(priors.without(tested.unknowns))
-    state = bundle.optimise(fit.state, iterations=40, tolerance=0.05)
+    state = bundle.optimise(fit.state, iterations=40, tolerance=TO_COMPARE)
     freed = replace(fit, bundle=bundle.with_sigma(bundle.noise_rms(state)), state=state)
     places = lens.places(tested.unknowns)
     covariance, ratio = spread_of_unknowns(freed, places, size)

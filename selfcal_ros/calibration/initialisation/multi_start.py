@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
                                                                   supposed_camera)
@@ -81,8 +82,8 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
             continue
         chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
-        state = coarse.optimise(chosen, iterations=8, tolerance=1.0)
-        state = fine.optimise(state, iterations=12, tolerance=1.0)
+        state = coarse.optimise(chosen, iterations=8, tolerance=TO_GO_ON)
+        state = fine.optimise(state, iterations=12, tolerance=TO_GO_ON)
         yield state, fine.noise_sigma(state)
 
 

@@ -64,6 +64,9 @@ FOCAL_FRACTIONS = (0.2, 30.0)
 SEGMENTS = 6
 #: Two halves of the sequence may differ in focal length by so many sigmas, or by this fraction.
 ZOOM_SIGMAS, ZOOM_FRACTION = 5.0, 0.02
+#: Where descents stop, in units of sigma²: of rounds that seek the noise and outliers, of parts of
+#: the sequence, which are compared, and of the estimate.
+_OF_ROUNDS, _OF_PARTS, _FINAL = 1e-2, 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -274,12 +277,12 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     bundle = views.bundle(priors.under(held), 1.0)
     if bundle.degrees_of_freedom < 1:
         return none
-    state = bundle.optimise(state, tolerance=1e-2)
+    state = bundle.optimise(state, tolerance=_OF_ROUNDS)
     for _ in range(4):
         bundle = views.bundle(priors, bundle.noise_sigma(state))
         if not np.isfinite(bundle.sigma_px):
             return none
-        state = bundle.optimise(state, tolerance=1e-2)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         distance = np.abs(bundle.residuals(state)).ravel()
         sigma = bundle.noise_sigma(state)
         good = distance < OUTLIER_SIGMAS * sigma
@@ -294,7 +297,7 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
         if bundle.degrees_of_freedom < 1:
             return none
     bundle = views.bundle(priors, bundle.noise_rms(state))
-    return views, bundle, bundle.optimise(state, tolerance=1e-6)
+    return views, bundle, bundle.optimise(state, tolerance=_FINAL)
 
 
 def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
@@ -329,7 +332,7 @@ def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
         rest = views.select(keep)
         part = rest.bundle(bundle.priors, bundle.sigma_px)
         own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
-        moved = part.optimise(own, iterations=20, tolerance=1e-4)
+        moved = part.optimise(own, iterations=20, tolerance=_OF_PARTS)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved)[lens, lens])
     return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
@@ -350,7 +353,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, sigma_inflation: float) -> NoE
         own = replace(state, path=state.path.of_views(np.isin(frames, part.frames)))
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
-        own = bundle.optimise(own, iterations=30, tolerance=1e-4)
+        own = bundle.optimise(own, iterations=30, tolerance=_OF_PARTS)
         variance = bundle.ideal_covariance(own)[0, 0]
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found

@@ -67,6 +67,9 @@ OUTLIER_SIGMAS = 4.0
 MISFIT_FRACTION = 0.006
 #: Starts are compared on so many points a view.
 START_POINTS = 40
+#: Where descents stop, in units of sigma²: of starts, of rounds that seek the noise and outliers,
+#: and of the estimate. With an object they are so cheap that the last goes on to rounding.
+_OF_STARTS, _OF_ROUNDS, _FINAL = 1e-2, 0.1, 1e-7
 
 
 @on_one_thread
@@ -283,7 +286,7 @@ def _start(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> Obj
         starts = (fisheye_state(camera, few.linear, few.view, few.points, few.xy)
                   for camera in fisheye_cameras(size, facts, priors.lens))
     for number, state in enumerate(starts):
-        state = bundle.optimise(with_fixed(state, priors), iterations=25, tolerance=1e-2)
+        state = bundle.optimise(with_fixed(state, priors), iterations=25, tolerance=_OF_STARTS)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -304,7 +307,7 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
         if not np.isfinite(sigma):
             return NoEstimate('no_fit_to_points')
         bundle = views.bundle(priors, sigma)
-        state = bundle.optimise(state, tolerance=0.1)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         before, sigma = sigma, bundle.noise_sigma(state)
         if abs(sigma - before) < 0.05 * before:
             break
@@ -319,10 +322,10 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
         kept = np.isin(views.frames, rest.frames)
         state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
-        state = bundle.optimise(state, tolerance=0.1)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         sigma = bundle.noise_sigma(state)
     bundle = views.bundle(priors, bundle.noise_rms(state))
-    state = bundle.optimise(state, tolerance=1e-7)
+    state = bundle.optimise(state, tolerance=_FINAL)
     return views, bundle, state
 
 

@@ -33,6 +33,7 @@ from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        OUTLIER_SIGMAS, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.moving.track_judgement import freedom_of, judge_tracks
 from selfcal_ros.geometry.distributions import chi2_isf
 
@@ -78,7 +79,7 @@ def coherent_half(observations: Observations, state: SceneState, motion: MotionM
         if placed is None or len(np.unique(rest.view)) < len(state.path):
             return None
         bundle = bundle_of(rest, motion, priors, sigma_px)
-        state = bundle.optimise(bundle.refine_points(placed), iterations=4, tolerance=1.0)
+        state = bundle.optimise(bundle.refine_points(placed), iterations=4, tolerance=TO_GO_ON)
         left_px = bundle.noise_sigma(state)
         if not np.isfinite(left_px):
             return None

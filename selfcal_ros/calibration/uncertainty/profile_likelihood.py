@@ -30,6 +30,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.tolerances import TO_ESTIMATE
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 
@@ -161,11 +162,12 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
         bundle = fit.bundle.with_priors(
             fit.bundle.priors.updated({name: Prior(start.lens[name], 0.0)}))
         moved = bundle.optimise(bundle.refine_points(start), iterations=30,
-                                tolerance=0.02 * fraction)
+                                tolerance=TO_ESTIMATE * fraction)
         # a fact with a sigma counts, also where it is about the parameter that was moved
         rise = fit.bundle.cost(moved) - before
         if rise < -BETTER_BY:
-            better = replace(fit, state=fit.bundle.optimise(moved, iterations=50, tolerance=0.02))
+            better = replace(fit, state=fit.bundle.optimise(moved, iterations=50,
+                                                            tolerance=TO_ESTIMATE))
             if better.cost < before - BETTER_BY:
                 return better
         # of one sigma: the quadratic rises with the square of the displacement
