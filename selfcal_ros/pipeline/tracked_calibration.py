@@ -33,7 +33,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
@@ -268,11 +268,7 @@ def _begin(source, model, facts, init, clicks, start, seed):
 
 def _guess(size, share: float, facts: CameraFacts) -> Camera:
     """Return a camera from facts and a focal length over the longer side."""
-    f = share * max(size)
-    aspect = 1.0 if facts.aspect_ratio is None else facts.aspect_ratio
-    cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    return Camera(np.array([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]]),
-                  np.zeros(0), *size)
+    return Camera(supposed_matrix(share * max(size), size, facts), np.zeros(0), *size)
 
 
 def _trial(frame, model, camera: Camera, pose, seed):

@@ -58,7 +58,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
@@ -368,11 +369,8 @@ def _starting_cameras(conic: ConicCalibration | NoEstimate, size: tuple[int, int
     """Closed form first, then supposed focal lengths with the principal point in the middle."""
     if not isinstance(conic, NoEstimate):
         yield conic.K
-    u, v = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     for share in _FOCAL_SWEEP:
-        f = share * max(size)
-        yield np.array([[f, facts.skew or 0.0, u], [0, f * (facts.aspect_ratio or 1.0), v],
-                        [0, 0, 1]])
+        yield supposed_matrix(share * max(size), size, facts)
 
 
 def _start(K: np.ndarray, H: np.ndarray, order: np.ndarray, observed: Observations, model: str,
