@@ -25,6 +25,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
+from selfcal_ros.pipeline.frame_source import ClockName, OWN_CLOCKS
 from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -60,12 +61,12 @@ class ExtractedTracks:
     tracks: Tracks
     description: str
     findings: tuple[Finding, ...] = ()
-    clock: str = 'none'
+    clock: ClockName = 'none'
 
     @property
     def stamps_ns(self) -> dict[int, int] | None:
         """When each image was taken; None where the input has no clock of its own."""
-        return self.tracks.stamps_ns if self.clock in ('header', 'log', 'video') else None
+        return self.tracks.stamps_ns if self.clock in OWN_CLOCKS else None
 
     @property
     def notes(self) -> tuple[str, ...]:
