@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.rotation import angle_sigmas
+from selfcal_ros.values.parameter_status import Status
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def places_along(place: np.ndarray, covariance: np.ndarray, open_along: np.ndarr
 
 
 def sigmas_of_angles(angles: Mapping[str, float], covariance: np.ndarray,
-                     status: Mapping[str, str]) -> dict[str, float]:
+                     status: Mapping[str, Status]) -> dict[str, float]:
     """
     Return the standard deviations of roll, pitch and yaw, radians.
 

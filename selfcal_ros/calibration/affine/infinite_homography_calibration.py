@@ -33,6 +33,7 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_isf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 
 #: Rotations that leave this axis by less (degrees) are called rotations about it.
 _NEAR_AXIS_DEG = 15.0
@@ -346,10 +347,10 @@ def _judge(information: np.ndarray, free: np.ndarray, K: np.ndarray, scale: floa
     return J @ small @ J.T, float(np.sqrt(small[1, 1])), tuple(directions)
 
 
-def _explain(status: dict[str, str], rotations: np.ndarray, family: bool, facts: CameraFacts,
+def _explain(status: dict[str, Status], rotations: np.ndarray, family: bool, facts: CameraFacts,
              open_directions: tuple[str, ...]) -> NoEstimate:
     """Tell what is open and which rotation would help."""
-    missing = tuple(name for name, state in status.items() if state == 'unobservable')
+    missing = unobservable_among(status, status)
     _, spread, axes = np.linalg.svd(rotations, full_matrices=True)
     largest = float(np.degrees(np.linalg.norm(rotations, axis=1).max()))
     along = np.degrees(np.arccos(np.clip(np.abs(axes[0]), 0, 1)))

@@ -51,8 +51,8 @@ from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, se
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
-from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX,
-                                                   parameter_status, without_held)
+from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX, parameter_status,
+                                                   without_held)
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
@@ -64,6 +64,7 @@ from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_ge
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.geometry.rotation import swing_twist
+from selfcal_ros.values.parameter_status import unobservable_among
 from selfcal_ros.values.tracks import Tracks
 
 #: The camera only rotated if that leaves no more than so many times the noise of the epipolar
@@ -292,7 +293,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     course = focal_course(fit, state, frames, inner, variance_inflation)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
-    missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     if missing:
         refusal = (NoEstimate('rotations_leave_open', missing=missing) if found.conic
                    else found.conic)

@@ -46,6 +46,7 @@ from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.version import SOFTWARE
 
 MOTION = 'known-object'
@@ -201,7 +202,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     used, bundle, state, chosen, covariance, sigma_inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
-    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     low, high = FOCAL_FRACTIONS[0] * max(size), FOCAL_FRACTIONS[1] * max(size)
     if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
@@ -301,7 +302,8 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
 
 
 def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-           size: tuple[int, int]) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, str]]:
+           size: tuple[int, int],
+           ) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, Status]]:
     """Return covariance, how much wider it is than for independent errors, findings and status."""
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)

@@ -48,6 +48,7 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import SOFTWARE
 
@@ -163,7 +164,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if not bundle.sigma_px <= limit:
         return NoEstimate('object_misfit', left_px=float(bundle.sigma_px), limit_px=limit)
     clusters, covariance, status = judgement
-    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     if missing:
         return _unobservable(missing, used).saying(status=status)
     residuals = bundle.residuals(state)
@@ -193,7 +194,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
 
 
 #: How errors are shared, the covariance, and the status of every parameter.
-_Judgement = tuple[ClusterCovariance, np.ndarray, dict[str, str]]
+_Judgement = tuple[ClusterCovariance, np.ndarray, dict[str, Status]]
 #: Views, bundle, state, facts with their distortion model, and judgement.
 _Fitted = tuple[ObjectViews, Bundle[ObjectState], ObjectState, CameraFacts, _Judgement]
 
@@ -343,7 +344,7 @@ def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState, 
 
 
 def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-                       size: tuple[int, int]) -> dict[str, str]:
+                       size: tuple[int, int]) -> dict[str, Status]:
     """
     Return the parameters that the same views leave open where the lens does not distort.
 

@@ -43,6 +43,7 @@ from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.version import SOFTWARE
 
 #: Cameras that are rigid to each other leave less than so many times what each leaves alone.
@@ -154,7 +155,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     cameras, poses, parameters = {}, {}, []
     for k, name in enumerate(rig.cameras):
         one = _camera(optimum, found, k, covariance, terms.scale)
-        missing = tuple(n for n in MATRIX_PARAMETERS if one.status[n] == 'unobservable')
+        missing = unobservable_among(one.status, MATRIX_PARAMETERS)
         if missing:
             return NoEstimate('rig_lens_open', camera=name, missing=missing,
                               motion=optimum.motion, status=one.status)
@@ -347,14 +348,14 @@ def _pose(optimum: RigOptimum, terms: _Terms, k: int) -> CameraInRig:
         T[:3, :3] = np.nan
     own[is_open] = own[:, is_open] = 0
     own[is_open, is_open] = np.inf
-    status = {name: 'unobservable' if one else 'estimated'
-              for name, one in zip(POSE_NAMES, is_open)}
+    status: dict[str, Status] = {name: 'unobservable' if one else 'estimated'
+                                 for name, one in zip(POSE_NAMES, is_open)}
     return CameraInRig(T, own, status, shared, _remark(optimum, rig.cameras[k], status), places)
 
 
-def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, str]) -> Finding | None:
+def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, Status]) -> Finding | None:
     """Say what is open, and which motion would show it."""
-    names = tuple(name for name, how in status.items() if how == 'unobservable')
+    names = unobservable_among(status, status)
     if not names:
         return None
     kind = ('rig_circle_open' if optimum.motion == 'circular' else
