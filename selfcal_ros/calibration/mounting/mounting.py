@@ -173,7 +173,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
         ratio = float(np.exp(optimum.state.log_metre))
         if abs(ratio - 1) > MOST_APART:
             return replace(calibration, mount=NoEstimate('metres_differ', ratio=ratio))
-    mount = _mount(part, track, poses, facts, adjustment, optimum, rows)
+    mount = _mount(part, poses, facts, adjustment, optimum, rows)
     if other is not None:
         mount = _in_either_metre(mount, optimum)
     findings = _findings(mount, track, facts, optimum)
@@ -342,10 +342,10 @@ def _drifts(optimum: Optimum) -> bool:
                 and not alike_in_a_row(optimum))
 
 
-def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
-           adjustment: Adjustment, optimum: Optimum, rows: np.ndarray) -> Mount:
+def _mount(camera: CameraPoses, poses: BodyPoses, facts: MountFacts, adjustment: Adjustment,
+           optimum: Optimum, rows: np.ndarray) -> Mount:
     """Put an optimum in the form of a result."""
-    state = optimum.state
+    state, track = optimum.state, adjustment.track
     body = track.at(state.offset, rows)
     turns = pairs_of(camera, body).body_turn
     status = degrees_of_freedom(optimum, adjustment.free, track, facts)
@@ -354,21 +354,7 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     if 'estimated' in angles and 'unobservable' not in angles:
         either = open_sense(adjustment, optimum, body)
         status = without_sense(status, either)
-    columns = np.r_[T, TURN, SCALE, OFFSET]
-    total = optimum.covariance.copy()
-    # rates that noise made up tell nothing
-    feigned = total[OFFSET, OFFSET] * track.feigned_information(
-        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
-    wider = 1 / max(1 - feigned, LEAST_TRUE)
-    total[OFFSET] *= wider
-    total[:, OFFSET] *= wider
-    # the turns' clock is taken; that of the places may be the right one
-    total[OFFSET, OFFSET] += state.lag**2
-    # a factor of the poses' metres goes to the scale and the place alike, as the state has it
-    unit = np.ones(len(NAMES))
-    scale = float(np.exp(state.log_scale))
-    unit[NAMES.index('scale')] = scale
-    covariance = total[np.ix_(columns, columns)] * np.outer(unit, unit)
+    covariance, scale = _covariance(track, optimum, rows), float(np.exp(state.log_scale))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = state.turn, state.place
     for index, name in enumerate(NAMES):
@@ -394,6 +380,25 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
                  missing_motion(status, track, turns, either is not None), len(rows),
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
                  places=places, axis=axis, pose_sigmas=optimum.errors.by_component)
+
+
+def _covariance(track: BodyTrack, optimum: Optimum, rows: np.ndarray) -> np.ndarray:
+    """Return the covariance of `NAMES`, (8, 8): metres, radians, a factor and seconds."""
+    state, total = optimum.state, optimum.covariance.copy()
+    # rates that noise made up tell nothing
+    feigned = total[OFFSET, OFFSET] * track.feigned_information(
+        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
+    wider = 1 / max(1 - feigned, LEAST_TRUE)
+    total[OFFSET] *= wider
+    total[:, OFFSET] *= wider
+    # the turns' clock is taken; that of the places may be the right one
+    total[OFFSET, OFFSET] += state.lag**2
+    # a factor of the poses' metres goes to scale and place alike; the state has its logarithm
+    unit = np.ones(len(NAMES))
+    unit[NAMES.index('scale')] = float(np.exp(state.log_scale))
+    columns = np.r_[T, TURN, SCALE, OFFSET]
+    of_names: np.ndarray = total[np.ix_(columns, columns)] * np.outer(unit, unit)
+    return of_names
 
 
 def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimum,
