@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What is known of a pose of which something is open, in the directions in which it is.
+The known components of a pose that is partly unobservable: along which directions.
 
 A motion leaves directions in space open, which need not be axes. A camera that is pitched may not
 know its height, and so neither its y nor its z, but well a mixture of both.

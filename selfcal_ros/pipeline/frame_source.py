@@ -67,7 +67,7 @@ class Frame:
 
 
 class _Pairs:
-    """The numbers 0 and 1 of every `stride`."""
+    """The first two of every `stride` image numbers, for `FrameSource.pairs`."""
 
     def __init__(self, stride: int):
         self._stride = stride

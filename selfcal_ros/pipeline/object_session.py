@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""An input of any kind in, where a known object's points were seen out."""
+"""From an input that a user names to the image points of a known object."""
 
 from __future__ import annotations
 

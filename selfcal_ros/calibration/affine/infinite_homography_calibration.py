@@ -139,7 +139,12 @@ class _Constraints:
 def _solve(constraints: _Constraints, theta: np.ndarray, free: np.ndarray,
            facts_terms: tuple[np.ndarray, np.ndarray], iterations: int = 30,
            ) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """Gauss-Newton with damping, weights renewed in each step; theta, cost, information."""
+    """
+    Gauss-Newton with damping, weights renewed in each step; theta, cost, misfit, information.
+
+    A loop of its own: the weights W are those of each step, so that costs of two steps do not
+    compare as `levenberg_marquardt.minimise` compares them.
+    """
     # a very wide prior holds what nothing else does
     wide = np.array([3.0, 1.0, 1.0, 1.0, 1.0])
     targets, sigmas = facts_terms

@@ -158,7 +158,7 @@ class Observations:
             state, blocks, self.xy, self.clock, self.neighbours))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:
-        """Tell whether displacements are those of others, about (pixels, root mean square)."""
+        """Tell whether displacements differ by less than so many pixels, root mean square."""
         if self.shutter is None or other.shutter is None:
             return True
         apart = self.shutter.shift - other.shutter.at(state.line_delay)

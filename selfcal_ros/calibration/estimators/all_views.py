@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Carry what was found on some of the views and tracks over to all of them, and judge that."""
+"""Extend an estimate from some of the views and tracks to all of them, and assess the result."""
 
 from __future__ import annotations
 

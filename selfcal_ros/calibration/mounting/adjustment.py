@@ -244,6 +244,9 @@ class Adjustment:
         """
         Refine a state while the variances are held.
 
+        Levenberg-Marquardt in a loop of its own, which ends at a share of the cost:
+        `levenberg_marquardt.minimise` ends at a fixed amount, in units of sigma².
+
         Parameters
         ----------
         state : State

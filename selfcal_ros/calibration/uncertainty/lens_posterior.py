@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What real lenses are like, weighed against images whose errors are shared.
+The prior over real lenses, combined anew with images whose errors are correlated.
 
 The adjustment weighs what is known beforehand as if every observation erred by itself. Where
 tracks, regions or stretches of the way share errors, the images know less than that, and a lens

@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Where the optimum lies in a long valley, a covariance from its curvature there is too small.
+The profile likelihood of a weak parameter, whose sigma the curvature understates.
 
-With little parallax, little turning or circular motion the cost rises so slowly along one bent
-curve (focal length against angles, principal point against axis) that the quadratic at the
-optimum says nothing of the far end. So the parameter that is determined worst is moved by some
-of its sigmas, everything else follows, and what the cost does there replaces the quadratic along
-the curve (profile likelihood; Venzon and Moolgavkar 1988).
+With little parallax, little turning or circular motion the optimum lies in a long, curved valley:
+the cost rises so slowly along it (focal length against angles, principal point against axis) that
+the quadratic at the optimum says nothing of the far end. So the worst determined parameter is
+moved by some of its sigmas, and all others are optimised anew. The cost there replaces the
+quadratic along the valley (profile likelihood; Venzon and Moolgavkar 1988).
 """
 
 from __future__ import annotations
