@@ -206,8 +206,7 @@ class MovingCamera:
         problem, decision = decided
         noise_px = decision.model.fit.bundle.sigma_px
         if decision.is_rotation and self.motion == 'auto':
-            rotating = judge_rotations(rotations, self.size, self.facts, may_zoom=False,
-                                       may_miss=True)
+            rotating = judge_rotations(rotations, may_zoom=False, may_miss=True)
             if rotating:
                 return Turn(rotating, noise_px)
         # a lever that no pair shows has to explain all that rotations leave
@@ -229,7 +228,7 @@ class MovingCamera:
             rotating = calibrate_rotating(self.graph.tracks, self.size, self.facts, not path,
                                           may_miss=True)
         else:
-            rotating = (judge_rotations(rotations, self.size, self.facts, may_miss=True)
+            rotating = (judge_rotations(rotations, may_miss=True)
                         if isinstance(rotations, RotationFit) else rotations)
         hidden = not path and self.graph.parallax < PARALLAX_RATIO
         if hidden and (not rotating or self._leaves_much(rotating)):
