@@ -52,7 +52,7 @@ _TAIL, _ODOMETRY_TAIL = 3.0, 1.0
 
 class Adjustment:
     """
-    Images, poses of the body and facts, and what they say together.
+    The joint adjustment of images, poses of the body and facts.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Adjustment:
         return other
 
     def predict(self, state: State) -> Prediction:
-        """Hold a state against the poses."""
+        """Return the residuals of a state against the poses, and their derivatives."""
         body = self._track.at(state.offset, self._rows)
         return predict(state, self._camera, body, self._track.odometry)
 
@@ -189,7 +189,7 @@ class Adjustment:
 
     def _of_poses(self, state: State, prediction: Prediction, errors: PoseErrors,
                   weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same of poses and images alone."""
+        """Return information and minus the gradient without the facts."""
         counted = weights > 0
         roots = errors.whitening()[counted] * np.sqrt(weights[counted])[:, None, None]
         S = errors.independent(roots @ prediction.slopes[counted])

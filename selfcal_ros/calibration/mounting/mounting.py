@@ -188,7 +188,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
 
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
                 facts: MountFacts) -> NoEstimate | None:
-    """Tell why poses of the body cannot say anything, or None."""
+    """Return why the poses of the body do not suffice; None where they may."""
     known = int(track.known().sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
     if known < needed:
@@ -275,7 +275,7 @@ def _near_origin(near: Adjustment, lost: np.ndarray, start: State, errors: PoseE
 
 def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
                    rows: np.ndarray) -> NoEstimate | None:
-    """Tell in what poses of body and camera disagree, or None."""
+    """Return in what the poses of body and camera disagree; None where they agree."""
     wrong = 1 - optimum.keep.mean()
     if wrong > MOST_WRONG:
         return NoEstimate('body_poses_wrong', share=float(wrong))

@@ -14,11 +14,12 @@
 """
 The half of the tracks that one still scene explains best: least trimmed squares over tracks.
 
-A thing that moves bends the whole path where its tracks are many, or the longest. Then it is the
-still tracks that seem to contradict, and no test of single tracks begins at the truth. Half of
-the tracks do without the thing. Concentration steps find them: fit a half, keep the half that fits
-best, and again (P. J. Rousseeuw and K. Van Driessen 2006, Computing LTS Regression for Large Data
-Sets, section 3). Whole tracks are kept or left: a single observation often agrees by chance.
+A moving thing pulls the whole path where its tracks are many, or the longest. Then it is the
+still tracks that look like outliers, and tests of single tracks start from a wrong estimate. Half
+of the tracks do without the moving thing. Concentration steps find them: fit a half, keep the
+half that fits best, and again (P. J. Rousseeuw and K. Van Driessen 2006, Computing LTS Regression
+for Large Data Sets, section 3). Whole tracks are kept or left: a single observation often agrees
+by chance.
 """
 
 from __future__ import annotations
