@@ -48,8 +48,8 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
-#: Where no more than this share of the observations are behind the camera at the start, or as far
-#: from where they should be as only points beside the camera are, it goes on without.
+#: Observations whose points a start has behind the camera, or projects so far off (pixels), are
+#: left out if they are no more than this share: beside the camera a projection goes to infinity.
 FEW_ABSURD, ABSURD_PX = 0.02, 1e5
 #: A start that leaves so many times the supposed noise is a good one, and what it leaves beyond so
 #: many sigmas a gross error.

@@ -60,8 +60,8 @@ MAX_OUTLIERS = 1 / 3
 #: contradicts it all the same, and something else is the cause.
 MAX_BESIDE_ZOOM = 0.2
 #: With its distortion free a lens deviates from its model by less than this fraction of the
-#: image's longer side (kitti, the worst of the recorded sets that are right: 0.0002), or than so
-#: many sigmas of the noise; what deviates by more is not the lens.
+#: image's longer side, or than so many sigmas of the noise. What deviates by more is not the lens.
+#: Of the recorded sets that are right kitti deviates most, by 0.0002.
 FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.

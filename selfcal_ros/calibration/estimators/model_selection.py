@@ -185,8 +185,9 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
     """
     Tell whether the images prefer a motion that leaves the plane freely, beyond chance.
 
-    Beside a small turn the usual unevenness of a ground is large, and a plane that nobody stated
-    explains the images by many outliers, more noise and another focal length.
+    Where the camera turns little, the usual unevenness of the ground is large beside it. A plane
+    that nobody stated then explains the images by many outliers, more noise and another focal
+    length.
 
     Parameters
     ----------

@@ -50,9 +50,10 @@ GOOD_ENOUGH = 1.25
 MODULUS_MAX_VIEWS = 8
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
-#: A plane that nobody stated, and whose first start needs a rival, is tried from no more starts
-#: where free motion leaves no more than this (the same unit), at most this share of what the plane
-#: leaves, and leaves every plane by this (radians; starts of vehicles, even bad ones, by half).
+#: A plane that nobody stated, and whose first start needs a rival, is given up for free motion.
+#: The noise that free motion leaves must be below the first (the same unit), and below this share
+#: of what the plane leaves. Its path must leave every plane by the last (radians): those of
+#: vehicles leave it by half of that, even from bad starts.
 STILL_FREE, CLEARLY_LESS, FAR_OUT_RAD = 4.0, 0.75, np.radians(10.0)
 
 
