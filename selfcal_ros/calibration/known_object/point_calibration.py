@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import logging
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,6 +59,8 @@ MOTION = 'known-object'
 AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
 #: Points seen so far from the axis, radians, may belong to a fisheye: 'auto' tries one.
 WIDE_ANGLE = np.deg2rad(40.0)
+#: The same where a perspective lens explains less than this share of the points.
+MOSTLY_FITTED = 0.9
 #: It is one where the sum of squared residuals, in units of the variance, falls by so much; each
 #: residual counts as an outlier's at most.
 FAMILY_MARGIN = 25.0
@@ -193,26 +196,68 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         residuals=residuals)
 
 
-#: How errors are shared, the covariance, and the status of every parameter.
-_Judgement = tuple[ClusterCovariance, np.ndarray, dict[str, Status]]
-#: Views, bundle, state, facts with their distortion model, and judgement.
-_Fitted = tuple[ObjectViews, Bundle[ObjectState], ObjectState, CameraFacts, _Judgement]
+class _Judgement(NamedTuple):
+    """
+    What an optimum says of the camera.
+
+    Attributes
+    ----------
+    clusters : ClusterCovariance
+        How far errors are shared.
+    covariance : ndarray, shape (k, k)
+        Of the camera's parameters.
+    status : dict of str to str
+        Of every parameter.
+
+    """
+
+    clusters: ClusterCovariance
+    covariance: np.ndarray
+    status: dict[str, Status]
+
+    @property
+    def is_complete(self) -> bool:
+        """Tell whether every parameter is determined."""
+        return 'unobservable' not in self.status.values()
+
+
+class _Fitted(NamedTuple):
+    """
+    An optimum, and what it says.
+
+    Attributes
+    ----------
+    views : ObjectViews
+        Without outliers.
+    bundle : Bundle
+    state : ObjectState
+    facts : CameraFacts
+        With the distortion model that was fitted.
+    judgement : _Judgement
+
+    """
+
+    views: ObjectViews
+    bundle: Bundle[ObjectState]
+    state: ObjectState
+    facts: CameraFacts
+    judgement: _Judgement
 
 
 def _bent_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, sigma: float,
               size: tuple[int, int]) -> _Fitted | None:
     """Return the fit with a board that may bend; None where the images do not determine it."""
-    used, _, state, chosen, _ = fit
-    free = may_bend(views.select(np.isin(views.frames, used.frames)[views.view]), points, sigma)
-    bent = None if free is None else _robust_fit(free, state, chosen)
+    seen = np.isin(views.frames, fit.views.frames)[views.view]
+    free = may_bend(views.select(seen), points, sigma)
+    bent = None if free is None else _robust_fit(free, fit.state, fit.facts)
     if bent is None or isinstance(bent, NoEstimate):
         return None
-    judgement = _judge(*bent, chosen, size)
-    return None if 'unobservable' in judgement[2].values() else (*bent, chosen, judgement)
+    judgement = _judge(*bent, fit.facts, size)
+    return _Fitted(*bent, fit.facts, judgement) if judgement.is_complete else None
 
 
 def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> _Fitted | NoEstimate:
-    """Return views, bundle, state, facts with their distortion model and judgement."""
+    """Fit the lens of the family that explains the views best, if none is stated."""
     found = _fit_family(views, size, facts)
     if facts.distortion != 'auto' or not _may_be_wide(views, found):
         return found
@@ -221,7 +266,7 @@ def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> _Fitt
         return found
     if isinstance(found, NoEstimate):
         return other
-    sigma = min(found[1].sigma_px, other[1].sigma_px)
+    sigma = min(found.bundle.sigma_px, other.bundle.sigma_px)
     gain = _misfit(views, found, sigma) - _misfit(views, other, sigma)
     return other if gain > FAMILY_MARGIN else found
 
@@ -230,17 +275,16 @@ def _may_be_wide(views: ObjectViews, fit: _Fitted | NoEstimate) -> bool:
     """Tell whether points lie far from the axis of a fitted perspective, or do not fit it."""
     if isinstance(fit, NoEstimate):
         return True
-    used, state = fit[0], fit[2]
-    angle = np.arccos(np.clip(state.camera().rays(used.xy)[:, 2], -1, 1))
-    return len(used.view) < 0.9 * len(views.view) or not (angle < WIDE_ANGLE).all()
+    angle = np.arccos(np.clip(fit.state.camera().rays(fit.views.xy)[:, 2], -1, 1))
+    return (len(fit.views.view) < MOSTLY_FITTED * len(views.view)
+            or not (angle < WIDE_ANGLE).all())
 
 
 def _misfit(views: ObjectViews, fit: _Fitted, sigma_px: float) -> float:
     """Sum of squared residuals over the variance, an outlier's share for what was left out."""
-    used, bundle, state = fit[:3]
-    square = np.sum(bundle.residuals(state)**2, axis=1) / sigma_px**2
-    most = OUTLIER_SIGMAS**2
-    return float(np.minimum(square, most).sum() + most * (len(views.view) - len(used.view)))
+    square = np.sum(fit.bundle.residuals(fit.state)**2, axis=1) / sigma_px**2
+    most, left_out = OUTLIER_SIGMAS**2, len(views.view) - len(fit.views.view)
+    return float(np.minimum(square, most).sum() + most * left_out)
 
 
 def _fit_family(views: ObjectViews, size: tuple[int, int],
@@ -263,8 +307,8 @@ def _fit_family(views: ObjectViews, size: tuple[int, int],
             continue
         used, bundle, fitted = fit
         judgement = _judge(used, bundle, fitted, chosen, size)
-        found = (used, bundle, fitted, chosen, judgement)
-        if 'unobservable' not in judgement[2].values():
+        found = _Fitted(used, bundle, fitted, chosen, judgement)
+        if judgement.is_complete:
             break
     return found
 
@@ -340,7 +384,8 @@ def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState, 
     of_lens = clusters.covariance[bundle.unknowns.lens, bundle.unknowns.lens]
     covariance = without_held(to_parameters(of_lens, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
-    return clusters, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
+    return _Judgement(clusters, covariance,
+                      {**status, **_open_without_lens(bundle, state, facts, size)})
 
 
 def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
