@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from selfcal_ros.cli.main import build_parser, VERBS
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 PAGE = Path(__file__).with_name('selfcal.1')
 #: Options that every verb has; they stand in one place.
@@ -80,7 +80,7 @@ README.md.
 def page() -> str:
     """Return the text of the man page."""
     lines = [r'.\" Made by docs/make_man.py from the parsers of the command line.',
-             f'.TH SELFCAL 1 "" "selfcal_ros {__version__}" "User Commands"',
+             f'.TH SELFCAL 1 "" "{SOFTWARE}" "User Commands"',
              BEGINNING.strip(), '.SH OPTIONS OF EVERY COMMAND']
     parsers = {verb: _parser_of(verb) for verb in VERBS}
     first = next(iter(parsers.values()))

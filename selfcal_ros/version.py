@@ -14,3 +14,5 @@
 """The version, in one place."""
 
 __version__ = '0.1.0'
+#: Name and version of this package, kept with every result.
+SOFTWARE = f'selfcal_ros {__version__}'

@@ -16,9 +16,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import logging
-from typing import Any
 
 import numpy as np
 
@@ -45,7 +44,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
@@ -125,91 +124,128 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
             raise ArgumentError('Parallel objects are for motion repeated, and are stated once: '
                                 'leave translation frames out.')
         translation_frames = parallel_objects
-    facts = CameraFacts() if facts is None else facts
-    rng = np.random.default_rng(0) if rng is None else rng
+    return _guarded(tracks, _Request(
+        motion, CameraFacts() if facts is None else facts,
+        np.random.default_rng(0) if rng is None else rng, start, translation_frames, views))
+
+
+@dataclass(frozen=True)
+class _Request:
+    """
+    What is asked of the tracks; see `calibrate`.
+
+    Attributes
+    ----------
+    motion : str
+        One of `METHODS`.
+    facts : CameraFacts
+    rng : numpy.random.Generator
+    start : Camera, optional
+        A calibration to try first.
+    translation_frames : sequence of int, optional
+        Of motion 'translation'; of motion 'repeated' the parallel objects.
+    views : int, optional
+        How many to use, of motion 'general'.
+
+    """
+
+    motion: str
+    facts: CameraFacts
+    rng: np.random.Generator
+    start: Camera | None
+    translation_frames: Sequence[int] | None
+    views: int | None
+
+    @property
+    def is_one_image(self) -> bool:
+        """Tell whether frames are objects of one image, and no views."""
+        return self.motion == 'repeated'
+
+    @property
+    def proposals(self) -> list[Camera]:
+        """The camera to try first, with a lens that can be estimated."""
+        if self.start is None:
+            return []
+        models = {model.name for model, _ in LENS_CHOICES.values()}
+        return [self.start if self.start.model in models else self.start.as_model('equidistant')]
+
+    def of_all_views(self) -> _Request:
+        """Return the same, without a choice of views or frames."""
+        return replace(self, translation_frames=None, views=None)
+
+    def refused(self, why: NoEstimate, frames: Iterable[int]) -> NotCalibrated:
+        """Return a refusal for the caller."""
+        return NotCalibrated.of(why, frames=frames, facts=self.facts, software=SOFTWARE)
+
+
+def _guarded(tracks: Tracks, request: _Request) -> Calibration | NotCalibrated:
+    """Calibrate; a singular system of equations, wherever it comes up, is a refusal."""
     try:
-        return _calibrated(tracks, motion, facts, rng, start, translation_frames, views)
+        return _calibrated(tracks, request)
     except np.linalg.LinAlgError:
         _LOGGER.debug('equations without a solution', exc_info=True)
-        return NotCalibrated.of(NoEstimate('equations_singular'), frames=tracks.frames,
-                                facts=facts, software=f'selfcal_ros {__version__}')
+        return request.refused(NoEstimate('equations_singular'), tracks.frames)
 
 
-def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.Generator,
-                start: Camera | None, translation_frames: Sequence[int] | None,
-                views: int | None) -> Calibration | NotCalibrated:
-    """Calibrate by one motion or by the one that is found."""
+def _calibrated(tracks: Tracks, request: _Request) -> Calibration | NotCalibrated:
+    """Calibrate from the tracks that move, of all views and then of those that help."""
     tracks = replace(tracks, image_size=tracks.image_size or _size_from(tracks))
-    software = f'selfcal_ros {__version__}'
-    # objects of one image are no views
-    extents = TrackExtents.measured(tracks) if motion != 'repeated' else None
+    extents = None if request.is_one_image else TrackExtents.measured(tracks)
     still = None if extents is None else find_still_tracks(tracks, extents)
     if still is not None:
         rest = tracks.select(~np.isin(tracks.track, still.track))
-        return _beside_still_tracks(calibrate(
-            rest, motion=motion, facts=facts, rng=rng, start=start,
-            translation_frames=translation_frames, views=views), rest, still)
+        return _beside_still_tracks(_guarded(rest, request), rest, still)
     if extents is not None and extents.nothing_moves:
-        return NotCalibrated.of(NoEstimate('nothing_moves', images=len(tracks.frames)),
-                                frames=tracks.frames, facts=facts, software=software)
-    if views is not None:
-        tracks = spread_views(tracks, views)
-    graph = build_view_graph(tracks, rng, straight=facts.distortion == 'none')
+        return request.refused(NoEstimate('nothing_moves', images=len(tracks.frames)),
+                               tracks.frames)
+    if request.views is not None:
+        tracks = spread_views(tracks, request.views)
+    graph = build_view_graph(tracks, request.rng, straight=request.facts.distortion == 'none')
     if isinstance(graph, NoEstimate):
-        refusal = refused_for_objects(graph) if motion == 'repeated' else graph
-        return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)
-    mirrored = mirrored_views(graph) if motion != 'repeated' else None
+        return request.refused(refused_for_objects(graph) if request.is_one_image else graph,
+                               tracks.frames)
+    mirrored = None if request.is_one_image else mirrored_views(graph)
     if mirrored is not None:
-        return NotCalibrated.of(NoEstimate('images_mirrored', mirrored=tuple(
-            graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=software)
-    result = _of_graph(graph, tracks, motion, facts, rng, start, translation_frames, views)
-    if views is not None or motion not in MOTION_MODELS:
+        return request.refused(NoEstimate('images_mirrored', mirrored=tuple(
+            graph.frames[mirrored].tolist())), graph.frames)
+    result = _of_graph(graph, tracks, request)
+    if request.views is not None or request.motion not in MOTION_MODELS:
         return result
-    return _beside_turns(result, tracks, motion=motion, facts=facts, rng=rng, start=start)
+    return _beside_turns(result, tracks, request.of_all_views())
 
 
-def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
-              rng: np.random.Generator, start: Camera | None,
-              translation_frames: Sequence[int] | None, views: int | None,
-              ) -> Calibration | NotCalibrated:
-    """Calibrate from connected views by one motion or by the one that is found."""
-    software = f'selfcal_ros {__version__}'
-    size = tracks.image_size
-    assert size is not None
-    result: Calibration | NoEstimate
-    if motion == 'rotation':
-        result = calibrate_rotating(graph.tracks, size, facts)
-    elif motion == 'translation':
-        result = calibrate_translated(graph, size, facts, translation_frames)
-    elif motion == 'repeated':
-        result = calibrate_repeated_objects(graph, size, facts, translation_frames)
-    elif views is not None:
-        result = calibrate_few_views(graph, size, facts, _proposals(start))
-    else:
-        result = calibrate_moving(MovingCamera(graph, size, facts, motion, _proposals(start)))
+def _of_graph(graph: ViewGraph, tracks: Tracks, request: _Request) -> Calibration | NotCalibrated:
+    """Calibrate from connected views."""
+    result = _by_motion(graph, tracks, request)
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
-            of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, rng=rng,
-                                    start=start)
+            of_one = _of_one_camera(tracks, result, request.of_all_views())
             if of_one:
                 return of_one
-        return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)
-    result = replace(result, software=software)
+        return request.refused(result, graph.frames)
+    result = replace(result, software=SOFTWARE)
     # the last gate is one for all motions
     hint = only_a_hint(result)
     return result if hint is None else NotCalibrated.of(hint, frames=result.frames,
-                                                        software=software)
+                                                        software=SOFTWARE)
 
 
-def _proposals(start: Camera | None) -> list[Camera]:
-    """Return a camera to try first, with a lens that can be estimated."""
-    if start is None:
-        return []
-    models = {model.name for model, _ in LENS_CHOICES.values()}
-    return [start if start.model in models else start.as_model('equidistant')]
+def _by_motion(graph: ViewGraph, tracks: Tracks, request: _Request) -> Calibration | NoEstimate:
+    """Calibrate by the motion that is stated, or by the one that is found."""
+    size, facts = tracks.image_size, request.facts
+    assert size is not None
+    if request.motion == 'rotation':
+        return calibrate_rotating(graph.tracks, size, facts)
+    if request.motion == 'translation':
+        return calibrate_translated(graph, size, facts, request.translation_frames)
+    if request.motion == 'repeated':
+        return calibrate_repeated_objects(graph, size, facts, request.translation_frames)
+    if request.views is not None:
+        return calibrate_few_views(graph, size, facts, request.proposals)
+    return calibrate_moving(MovingCamera(graph, size, facts, request.motion, request.proposals))
 
 
-def _beside_turns(whole: Calibration | NotCalibrated, tracks: Tracks, **how: Any,
+def _beside_turns(whole: Calibration | NotCalibrated, tracks: Tracks, request: _Request,
                   ) -> Calibration | NotCalibrated:
     """Leave frames out that turn on the spot, where they do more harm than good."""
     moving: Iterable[int] | None = None
@@ -219,7 +255,7 @@ def _beside_turns(whole: Calibration | NotCalibrated, tracks: Tracks, **how: Any
         moving = frames_in_motion(whole.reconstruction, tracks)
     if moving is None:
         return whole
-    others = calibrate(tracks.in_frames(moving), **how)
+    others = _guarded(tracks.in_frames(moving), request)
     if not others or (whole and not better_without(whole, others)):
         return whole
     left_out = Finding('turning_left_out',
@@ -239,13 +275,14 @@ def _beside_still_tracks(result: Calibration | NotCalibrated, rest: Tracks, stil
     return replace(result, findings=findings, labels=labels.with_still(still.track))
 
 
-def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration | NotCalibrated:
+def _of_one_camera(tracks: Tracks, mixed: NoEstimate, request: _Request,
+                   ) -> Calibration | NotCalibrated:
     """Calibrate from the images of one of two cameras: of the one that has more to show."""
     groups = sorted((mixed.values['first'], mixed.values['second']))
     # the one of the first image, unless there is clearly more of the other
     first, other = (len(tracks.in_frames(frames)) for frames in groups)
     groups = groups if CLEARLY_MORE * first > other else groups[::-1]
-    result = calibrate(tracks.in_frames(groups[0]), **how)
+    result = _guarded(tracks.in_frames(groups[0]), request)
     if not result:
         return result
     left_out = Finding('other_camera_left_out', used=groups[0], left_out=groups[1])

@@ -27,6 +27,7 @@ import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.values.measured_digits import with_sigma
+from selfcal_ros.values.parameter_status import Status
 
 #: A focal length with a larger share of uncertainty is not what most uses of a camera need.
 COARSE_SIGMA = 0.01
@@ -41,7 +42,7 @@ _BRACKETS = 'border-left:2px solid;border-right:2px solid;margin:4px 0'
 _ENTRIES = (('fx', 'skew', 'cx'), ('', 'fy', 'cy'), ('', '', ''))
 
 
-def grade_of(K: np.ndarray, covariance: np.ndarray, status: Mapping[str, str]) -> str:
+def grade_of(K: np.ndarray, covariance: np.ndarray, status: Mapping[str, Status]) -> str:
     """
     Grade a calibration: 'good', 'partial' or 'coarse'.
 
@@ -62,7 +63,7 @@ def grade_of(K: np.ndarray, covariance: np.ndarray, status: Mapping[str, str]) -
 
 
 def calibration_card(grade: str, camera: Camera, sigma: Mapping[str, float],
-                     status: Mapping[str, str], facts: Iterable[str],
+                     status: Mapping[str, Status], facts: Iterable[str],
                      notes: Iterable[str]) -> str:
     """
     Show K and the lens with their sigmas, what the result rests on, and what was found.
@@ -96,7 +97,7 @@ def calibration_card(grade: str, camera: Camera, sigma: Mapping[str, float],
 
 
 def calibration_text(grade: str, camera: Camera, sigma: Mapping[str, float],
-                     status: Mapping[str, str], facts: Iterable[str],
+                     status: Mapping[str, Status], facts: Iterable[str],
                      notes: Iterable[str]) -> str:
     """Say in a few lines what a card of `calibration_card` shows."""
     words = {name: _measured_text(value, sigma[name], status[name])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What is known of a pose of which something is open, in the directions in which it is.
+The known components of a pose that is partly unobservable: along which directions.
 
 A motion leaves directions in space open, which need not be axes. A camera that is pitched may not
 know its height, and so neither its y nor its z, but well a mixture of both.
@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.rotation import angle_sigmas
+from selfcal_ros.values.parameter_status import Status
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def places_along(place: np.ndarray, covariance: np.ndarray, open_along: np.ndarr
 
 
 def sigmas_of_angles(angles: Mapping[str, float], covariance: np.ndarray,
-                     status: Mapping[str, str]) -> dict[str, float]:
+                     status: Mapping[str, Status]) -> dict[str, float]:
     """
     Return the standard deviations of roll, pitch and yaw, radians.
 

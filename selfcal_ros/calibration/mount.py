@@ -24,6 +24,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera_facts import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import roll_pitch_yaw, rotation_matrix
+from selfcal_ros.values.parameter_status import Status
 
 #: The optical frame (x right, y down, z forward) of a level camera that looks straight ahead, in
 #: the axes of the body (x forward, y left, z up).
@@ -154,7 +155,7 @@ class Mount:
     frame: str
     T_body_camera: np.ndarray
     covariance: np.ndarray
-    status: dict[str, str]
+    status: dict[str, Status]
     scale: float
     time_offset_s: float
     missing: dict[str, str]

@@ -20,6 +20,7 @@ import numpy as np
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.values.parameter_status import Status
 
 #: A parameter counts as unobservable when its sigma exceeds these. Focal lengths, as a share of
 #: themselves: beyond 15 % a guess from the lens's data sheet is as good. Principal point, as a
@@ -103,7 +104,7 @@ def observability_limits(camera: Camera) -> np.ndarray:
 
 
 def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts,
-                     noise_px: float = LEAST_NOISE_PX) -> dict[str, str]:
+                     noise_px: float = LEAST_NOISE_PX) -> dict[str, Status]:
     """
     Tell 'estimated', 'held' or 'unobservable' for each of the camera's parameters.
 
@@ -124,7 +125,7 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts,
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     sigma *= max(LEAST_NOISE_PX / noise_px, 1.0)
     held = held_facts(facts)
-    status = {}
+    status: dict[str, Status] = {}
     for name, value, limit in zip(camera.parameter_names, sigma,
                                   observability_limits(camera)):
         if name in held:

@@ -38,6 +38,7 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.measured_digits import with_sigma
+from selfcal_ros.values.parameter_status import Status
 from selfcal_ros.values.track_labels import TrackLabels
 
 #: Kinds of refusals that know something of the camera, too little for a calibration.
@@ -204,7 +205,7 @@ class Calibration:
 
     camera: Camera
     covariance: np.ndarray
-    status: dict[str, str]
+    status: dict[str, Status]
     held_by: dict[str, str]
     motion: str
     facts: CameraFacts
@@ -354,7 +355,7 @@ class NotCalibrated:
     motion: str = 'unknown'
     frames: tuple[int, ...] = ()
     facts: CameraFacts = CameraFacts()
-    status: dict[str, str] = field(default_factory=dict)
+    status: dict[str, Status] = field(default_factory=dict)
     software: str = ''
     kind: str = ''
     values: Mapping[str, Any] = field(default_factory=dict)

@@ -103,8 +103,8 @@ def _run(argv: list[str]) -> int:
         args = parser.parse_args(argv)
         args.command_line = ('selfcal', *argv)    # for the report
         if args.version:
-            from selfcal_ros import __version__
-            print(f'selfcal_ros {__version__}', flush=True)
+            from selfcal_ros.version import SOFTWARE
+            print(SOFTWARE, flush=True)
             return EXIT_DONE
         if args.verb is None:
             parser.print_help()

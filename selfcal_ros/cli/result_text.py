@@ -85,11 +85,12 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         if truth:
             row += _beside(value, sigma if status == 'estimated' else 0.0, truth.get(name),
                            decimals)
+        remark = ''
         if status == 'held' and held:
-            status += f' by {held}'
+            remark = f' by {held}'
         elif status == 'estimated' and name in supposed:
-            status += f', if the {supposed[name]} is exact'
-        lines.append(f'{row}   {status}')
+            remark = f', if the {supposed[name]} is exact'
+        lines.append(f'{row}   {status}{remark}')
     lines += ['', facts_text(result.facts)]
     lines += list(result.notes) + list(notes)
     if result.identifiability is not None:

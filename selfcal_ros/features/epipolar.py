@@ -146,6 +146,25 @@ class EpipolarImages:
         return self.model.curve_distance(curve, raised)
 
 
+def sampler_seed(rng: np.random.Generator | None) -> int:
+    """
+    Draw the number that seeds OpenCV's sampler, which takes no generator.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator, optional
+        None: always 0.
+
+    Returns
+    -------
+    int
+        Below 2^31 - 1. Every pair of images starts from it, so that the order in which threads
+        take the pairs does not matter.
+
+    """
+    return int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
+
+
 def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float = 1.0,
                          iterations: int = 2000, seed: int = 0) -> np.ndarray | None:
     """

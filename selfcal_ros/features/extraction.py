@@ -26,6 +26,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.detection import detect, Features
+from selfcal_ros.features.epipolar import sampler_seed
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, registered_positions
@@ -118,7 +119,7 @@ def extract_tracks(frames: Iterable[Frame], mode: str = 'auto', progress: Progre
         raise ArgumentError(f"mode must be 'auto', 'video' or 'wide', not {mode!r}.")
     if max_keyframes < 2:
         raise ArgumentError(f'max_keyframes must be at least 2, not {max_keyframes}.')
-    seed = int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
+    seed = sampler_seed(rng)
     frames = _checked(frames, mask)
     probe = list(itertools.islice(frames, _PROBE_FRAMES))
     images = [grey for _, grey, _ in probe]

@@ -24,6 +24,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.at_instant import at_instant, ImagesBeside
 from selfcal_ros.features.detection import detect, Features
+from selfcal_ros.features.epipolar import sampler_seed
 from selfcal_ros.features.extraction import finish_tracks
 from selfcal_ros.features.linking import link, registered_positions
 from selfcal_ros.features.mask import ImageMask
@@ -94,7 +95,7 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
         If the images of a camera differ in size.
 
     """
-    seed = int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
+    seed = sampler_seed(rng)
     report = progress or (lambda text, done: None)
     sizes = {name: _one_size(name, of_camera) for name, of_camera in images.items()}
     count = len(images)

@@ -143,6 +143,31 @@ class CameraFacts:
                                     f'{LEAST_SIGMA:g}, not {value!r}.')
 
 
+def supposed_matrix(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> np.ndarray:
+    """
+    Calibration matrix of a supposed focal length; the rest is as stated, or as usual.
+
+    Parameters
+    ----------
+    focal_px : float
+        fx.
+    size : (int, int)
+        Width and height of the image, pixels. The principal point is in its middle, unless a
+        fact states it.
+    facts : CameraFacts
+        Square pixels and no skew where they do not say otherwise.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        K, pixels.
+
+    """
+    u, v = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    return np.array([[focal_px, facts.skew or 0.0, u],
+                     [0, focal_px * (facts.aspect_ratio or 1.0), v], [0, 0, 1]])
+
+
 def is_number(value: object) -> TypeGuard[float]:
     """Tell whether something is a finite real number."""
     return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Levenberg-Marquardt: the descent, the damped step and its bend."""
+"""Levenberg-Marquardt: the descent, the damped step and its geodesic acceleration."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ from selfcal_ros.geometry.reduced_system import ReducedSystem
 #: A step that changes nothing means a minimum where the damping is below the first, and nothing
 #: helps any more where it is above the second.
 _SMALL, _HOPELESS = 1e-2, 1e8
+#: Length of twice the acceleration over that of the step, at most (Transtrum and Sethna 2012).
+_MAX_ACCELERATION = 0.75
 
 _State = TypeVar('_State')
 _Seen = TypeVar('_Seen')
@@ -208,8 +210,8 @@ def curved_step(system: ReducedSystem, factor: DampedFactor,
     """
     Levenberg-Marquardt step with geodesic acceleration (Transtrum and Sethna 2012).
 
-    Where the valley of the cost is long and bent, the second derivative along the step follows
-    the bend.
+    Where the cost has a long, curved valley, a straight step leaves it. The second derivative of
+    the residuals along the step gives the correction.
 
     Parameters
     ----------
@@ -230,7 +232,8 @@ def curved_step(system: ReducedSystem, factor: DampedFactor,
     change = (ahead(reach * step, reach * points) - system.residual) / reach
     second = 2 / reach * (change - system.predict(step, points))
     gradient, half_b = system.right_hand_side(second)
-    bend = factor.solve(-gradient)
-    if not 2 * factor.length(bend) < 0.75 * factor.length(step):
+    acceleration = factor.solve(-gradient)
+    # a longer correction than this means that the second-order model does not hold
+    if not 2 * factor.length(acceleration) < _MAX_ACCELERATION * factor.length(step):
         return step, points
-    return step + 0.5 * bend, points + 0.5 * system.point_steps(bend, half_b)
+    return step + 0.5 * acceleration, points + 0.5 * system.point_steps(acceleration, half_b)

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -196,57 +196,115 @@ def resect(points: ArrayLike, xy: ArrayLike, start: ArrayLike | None = None,
     X = X / np.maximum(scale, 1e-300)
     values, vectors = np.linalg.eigh(X.T @ X / len(X))
     whiten = (vectors / np.sqrt(np.maximum(values, 1e-15 * values[3]))).T
-    back = np.kron(np.eye(3), whiten.T)                  # vec(P) = back vec(P whiten^-1)
     T = normalising_transform(xy)
-    back = np.kron(np.linalg.inv(T), np.eye(4)) @ back
-    Y, uv = X @ whiten.T, xy * T[0, 0] + T[:2, 2]
     Q = T @ P @ np.linalg.inv(whiten)
-    Q /= np.linalg.norm(Q)
-    weight = np.ones(len(X))
+    found = _descended(Q / np.linalg.norm(Q), X @ whiten.T, xy * T[0, 0] + T[:2, 2], iterations,
+                       huber_sigmas)
+    if isinstance(found, NoEstimate):
+        return found
+    # vec(P) = back vec(Q), up to scale
+    back = np.kron(np.linalg.inv(T), np.eye(4)) @ np.kron(np.eye(3), whiten.T)
+    P = back @ found.Q.ravel()
+    norm = np.linalg.norm(P)
+    P = P / norm
+    carry = (np.eye(12) - np.outer(P, P)) @ back / norm
+    return Resection(P.reshape(3, 4), carry @ found.covariance() @ carry.T, found.r / T[0, 0],
+                     found.weight)
 
-    def residual(Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        image, slope = projection_jacobian(Q, Y)
-        return image - uv, slope
 
-    r, J = residual(Q)
-    damping = 1e-4
+@dataclass(frozen=True)
+class _Optimum:
+    """
+    A camera matrix in whitened frames, at the minimum of the weighted reprojection error.
+
+    Attributes
+    ----------
+    Q : ndarray, shape (3, 4)
+        Unit norm.
+    r : ndarray, shape (n, 2)
+        Residuals in the normalised image.
+    J : ndarray, shape (n, 2, 12)
+        Their derivatives by the row-wise entries of Q.
+    weight : ndarray, shape (n,)
+
+    """
+
+    Q: np.ndarray
+    r: np.ndarray
+    J: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def at(cls, Q: np.ndarray, Y: np.ndarray, uv: np.ndarray, weight: np.ndarray) -> _Optimum:
+        """Project points Y (n, 4) and compare with the image uv (n, 2)."""
+        image, J = projection_jacobian(Q, Y)
+        return cls(Q, image - uv, J, weight)
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares."""
+        return float(np.sum(self.weight[:, None] * self.r**2))
+
+    @property
+    def basis(self) -> np.ndarray:
+        """Directions across vec(Q), in which its unit norm lets it move, shape (12, 11)."""
+        across: np.ndarray = np.linalg.svd(self.Q.reshape(1, 12))[2][1:].T
+        return across
+
+    def slopes(self, basis: np.ndarray) -> np.ndarray:
+        """Weighted derivatives of all residuals along a basis (12, 11), shape (2 n, 11)."""
+        slopes: np.ndarray = (self.J * np.sqrt(self.weight)[:, None, None]).reshape(-1, 12) @ basis
+        return slopes
+
+    def reweighted(self, huber_sigmas: float) -> _Optimum:
+        """Return the same with Huber's weights, by the residuals' own robust scale."""
+        distance = np.linalg.norm(self.r, axis=1)
+        limit = huber_sigmas * max(robust_sigma_of_lengths(distance), 1e-12)
+        return replace(self, weight=huber_weights(distance, limit))
+
+    def covariance(self) -> np.ndarray:
+        """Covariance (12, 12) of vec(Q), scaled by the residuals."""
+        basis = self.basis
+        A = self.slopes(basis)
+        variance = self.cost / max(2 * len(self.r) - 11, 1)
+        spread: np.ndarray = (variance * basis @ np.linalg.pinv(A.T @ A, hermitian=True)
+                              @ basis.T)
+        return spread
+
+
+def _descended(Q: np.ndarray, Y: np.ndarray, uv: np.ndarray, iterations: int,
+               huber_sigmas: float) -> _Optimum | NoEstimate:
+    """
+    Minimise the reprojection error of points Y (n, 4) at uv (n, 2) by Levenberg-Marquardt.
+
+    A loop of its own: the weights change with every step, and the cost with them, which
+    `levenberg_marquardt.minimise` does not allow for.
+    """
+    here, damping = _Optimum.at(Q, Y, uv, np.ones(len(Y))), 1e-4
     for _ in range(iterations):
         if np.isfinite(huber_sigmas):
-            distance = np.linalg.norm(r, axis=1)
-            limit = huber_sigmas * max(robust_sigma_of_lengths(distance), 1e-12)
-            weight = huber_weights(distance, limit)
-        cost = float(np.sum(weight[:, None] * r**2))
+            here = here.reweighted(huber_sigmas)
+        cost = here.cost
         if not np.isfinite(cost):
             return NoEstimate('point_at_infinity')
-        basis = np.linalg.svd(Q.reshape(1, 12))[2][1:].T         # across vec(Q), (12, 11)
-        A = (J * np.sqrt(weight)[:, None, None]).reshape(-1, 12) @ basis
-        b = (r * np.sqrt(weight)[:, None]).ravel()
+        basis = here.basis
+        A, b = here.slopes(basis), (here.r * np.sqrt(here.weight)[:, None]).ravel()
         H, g = A.T @ A, A.T @ b
         improved = False
         while damping < 1e8:
             step = basis @ np.linalg.solve(
                 H + damping * np.diag(np.maximum(np.diag(H), 1e-300)), g)
-            trial = Q - step.reshape(3, 4)
-            trial /= np.linalg.norm(trial)
-            new_r, new_J = residual(trial)
-            new_cost = float(np.sum(weight[:, None] * new_r**2))
+            moved = here.Q - step.reshape(3, 4)
+            trial = _Optimum.at(moved / np.linalg.norm(moved), Y, uv, here.weight)
+            new_cost = trial.cost
             if new_cost <= cost:
-                Q, r, J, improved = trial, new_r, new_J, True
+                here, improved = trial, True
                 damping = max(damping * 0.1, 1e-12)
                 break
             damping *= 10
         if not improved or cost - new_cost < 1e-10 * cost:
             break
-    basis = np.linalg.svd(Q.reshape(1, 12))[2][1:].T
-    A = (J * np.sqrt(weight)[:, None, None]).reshape(-1, 12) @ basis
-    spare = max(2 * len(X) - 11, 1)
-    variance = float(np.sum(weight[:, None] * r**2)) / spare
-    covariance = variance * basis @ np.linalg.pinv(A.T @ A, hermitian=True) @ basis.T
-    P = (back @ Q.ravel())
-    norm = np.linalg.norm(P)
-    P = P / norm
-    carry = (np.eye(12) - np.outer(P, P)) @ back / norm
-    return Resection(P.reshape(3, 4), carry @ covariance @ carry.T, r / T[0, 0], weight)
+    return here
 
 
 def decompose(P: ArrayLike, covariance: ArrayLike | None = None) -> CameraParts | NoEstimate:

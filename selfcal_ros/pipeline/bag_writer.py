@@ -30,6 +30,8 @@ from msg_adapters.stamps import header_message
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.frame_source import Frame
 
+#: As rosbags names its plugins, but for the case.
+_STORAGES = ('mcap', 'sqlite3')
 _TOPIC = re.compile(r'^(/[A-Za-z_][A-Za-z0-9_]*)+$')
 
 
@@ -66,11 +68,30 @@ def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_r
         If the topic, storage or compression is impossible.
 
     """
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
     path = Path(path)
-    plugins = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-    if storage not in plugins:
+    _check(path, topic, storage, compressed)
+    try:
+        # the files inside carry the name of the folder, so it must be the final one
+        temporary = tempfile.mkdtemp(prefix='.selfcal-', dir=path.absolute().parent)
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: {error.strerror}.') from None
+    try:
+        inside = Path(temporary) / path.name
+        count = _write(inside, frames, topic, storage, compressed, frame_id)
+        if not count:
+            raise InputError(f'There are no images to write to {path}.')
+        os.replace(inside, path)
+    except (OSError, sqlite3.Error) as error:
+        why = getattr(error, 'strerror', None) or error
+        raise InputError(f'{path} cannot be written: {why}.') from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return count
+
+
+def _check(path: Path, topic: str, storage: str, compressed: str | None) -> None:
+    """Refuse what cannot be written, before any frame is read."""
+    if storage not in _STORAGES:
         raise ArgumentError(f'Storage {storage!r} is unknown; choose mcap or sqlite3.')
     if compressed not in (None, 'jpeg', 'png'):
         raise ArgumentError(f'Compression {compressed!r} is unknown; choose jpeg or png.')
@@ -82,38 +103,27 @@ def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_r
                             'address; choose another name, or the storage mcap.')
     if path.exists():
         raise InputError(f'{path} exists already; remove it or choose another name.')
+
+
+def _write(folder: Path, frames: Iterable[Frame], topic: str, storage: str,
+           compressed: str | None, frame_id: str) -> int:
+    """Write frames into a folder that does not exist; returns how many."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
     store = get_typestore(Stores.ROS2_JAZZY)
     types = rosbags_types(store)
     kind = 'sensor_msgs/msg/CompressedImage' if compressed else 'sensor_msgs/msg/Image'
     count = 0
-    try:
-        # the files inside carry the name of the folder, so it must be the final one
-        temporary = tempfile.mkdtemp(prefix='.selfcal-', dir=path.absolute().parent)
-    except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror}.') from None
-    try:
-        inside = Path(temporary) / path.name
-        with Writer(inside, version=9, storage_plugin=plugins[storage]) as writer:
-            connection = writer.add_connection(f'{topic}/compressed' if compressed else topic,
-                                               kind, typestore=store)
-            for frame in frames:
-                header = header_message(frame.stamp_ns, frame.frame_id or frame_id, types)
-                image = frame.image if frame.bgr is None else frame.bgr
-                if compressed:
-                    message = compressed_image_message(image, header, types, compressed)
-                else:
-                    message = image_message(image, header, types)
-                writer.write(connection, frame.stamp_ns, store.serialize_cdr(message, kind))
-                count += 1
-        if not count:
-            raise InputError(f'There are no images to write to {path}.')
-        try:
-            os.replace(inside, path)
-        except OSError as error:
-            raise InputError(f'{path} cannot be written: {error.strerror}.') from None
-    except (OSError, sqlite3.Error) as error:
-        why = getattr(error, 'strerror', None) or error
-        raise InputError(f'{path} cannot be written: {why}.') from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+        connection = writer.add_connection(f'{topic}/compressed' if compressed else topic,
+                                           kind, typestore=store)
+        for frame in frames:
+            header = header_message(frame.stamp_ns, frame.frame_id or frame_id, types)
+            image = frame.image if frame.bgr is None else frame.bgr
+            if compressed:
+                message = compressed_image_message(image, header, types, compressed)
+            else:
+                message = image_message(image, header, types)
+            writer.write(connection, frame.stamp_ns, store.serialize_cdr(message, kind))
+            count += 1
     return count

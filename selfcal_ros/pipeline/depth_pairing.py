@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Images wait for the depth image of their time, but not for long."""
+"""Pairs images with depth images by stamp; an image waits for a limited time only."""
 
 from __future__ import annotations
 

@@ -150,6 +150,28 @@ def _thread_limits():
                 os.environ[name] = value
 
 
+@contextmanager
+def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of processes; what is left of them ends with the block, whatever ends that."""
+    others = set(multiprocessing.active_children())
+    with _thread_limits(), tempfile.TemporaryDirectory(
+            prefix='selfcal-', ignore_cleanup_errors=True) as temporary:
+        # a forked process would inherit locks of the parent's threads
+        pool = ProcessPoolExecutor(workers, initializer=_prepare_process, initargs=(temporary,),
+                                   mp_context=multiprocessing.get_context('spawn'))
+        try:
+            yield pool
+        except BrokenProcessPool:
+            raise
+        except BaseException:
+            # Ctrl-C: nobody waits for the rest
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
 def _in_processes(function, jobs, workers) -> Iterator[tuple]:
     """Run in a pool; after a crash those that were running run again, each alone."""
     waiting = deque(range(len(jobs)))
@@ -157,37 +179,34 @@ def _in_processes(function, jobs, workers) -> Iterator[tuple]:
     while waiting or suspects:
         alone = bool(suspects)
         queue = deque([suspects.popleft()]) if alone else waiting
-        others = set(multiprocessing.active_children())
-        with _thread_limits(), tempfile.TemporaryDirectory(
-                prefix='selfcal-', ignore_cleanup_errors=True) as temporary:
-            # a forked process would inherit locks of the parent's threads
-            pool = ProcessPoolExecutor(1 if alone else workers, initializer=_prepare_process,
-                                       initargs=(temporary,),
-                                       mp_context=multiprocessing.get_context('spawn'))
-            running: dict[Future, int] = {}
-            try:
-                while queue or running:
-                    # no more than there are processes: what is running at a crash is suspect
-                    while queue and len(running) < workers:
-                        future = pool.submit(function, jobs[queue[0]])
-                        running[future] = queue.popleft()
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        failure = future.exception()
-                        if isinstance(failure, BrokenProcessPool):
-                            raise failure
-                        yield running.pop(future), failure or future.result()
-            except BrokenProcessPool:
-                if alone:
-                    yield from ((number, None) for number in running.values())
-                else:
-                    suspects.extend(running.values())
-            except BaseException:
-                # Ctrl-C: nobody waits for the rest
-                for process in set(multiprocessing.active_children()) - others:
-                    process.terminate()
-                raise
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+        running: dict[Future, int] = {}
+        try:
+            with _process_pool(1 if alone else workers) as pool:
+                yield from _ended(pool, function, jobs, queue, running, workers)
+        except BrokenProcessPool:
+            if alone:
+                yield from ((number, None) for number in running.values())
+            else:
+                suspects.extend(running.values())
+
+
+def _ended(pool: ProcessPoolExecutor, function, jobs, queue: deque[int],
+           running: dict[Future, int], workers: int) -> Iterator[tuple]:
+    """
+    Yield number and result, or exception, of each job of a queue as it ends.
+
+    `queue` and `running` are kept up to date, for the case that a process crashes.
+    """
+    while queue or running:
+        # no more than there are processes: what is running at a crash is suspect
+        while queue and len(running) < workers:
+            future = pool.submit(function, jobs[queue[0]])
+            running[future] = queue.popleft()
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            failure = future.exception()
+            if isinstance(failure, BrokenProcessPool):
+                raise failure
+            yield running.pop(future), failure or future.result()
 
 
 def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:

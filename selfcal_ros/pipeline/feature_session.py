@@ -25,6 +25,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
+from selfcal_ros.pipeline.frame_source import ClockName, OWN_CLOCKS
 from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -60,12 +61,12 @@ class ExtractedTracks:
     tracks: Tracks
     description: str
     findings: tuple[Finding, ...] = ()
-    clock: str = 'none'
+    clock: ClockName = 'none'
 
     @property
     def stamps_ns(self) -> dict[int, int] | None:
         """When each image was taken; None where the input has no clock of its own."""
-        return self.tracks.stamps_ns if self.clock in ('header', 'log', 'video') else None
+        return self.tracks.stamps_ns if self.clock in OWN_CLOCKS else None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -207,8 +208,8 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
         raise InputError(f'{source.path} gives one image, and a calibration needs three at '
                          'least, from different places.')
     if not len(found.tracks) and _rests(found.findings):
-        raise InputError(f'Nothing moves in the {images} images of {source.path}: they all show '
-                         'the same from one place.')
+        still = Finding('nothing_moves', images=images)
+        raise InputError(f'{source.path}: {still.clause}. {still.advice}')
     if not len(found.tracks):
         within = ', also within the mask' if mask else ''
         raise InputError(f'No point could be followed through the {images} images of '
@@ -227,5 +228,5 @@ def _rests(findings: Sequence[Finding]) -> bool:
 
 
 def generator(seed: int) -> np.random.Generator | None:
-    """Return what draws by a seed; None for 0: each step then has a fixed one of its own."""
+    """Return a generator of a seed; None for 0, where every step has a fixed seed of its own."""
     return np.random.default_rng(seed) if seed else None

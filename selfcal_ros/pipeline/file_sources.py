@@ -27,7 +27,7 @@ from msg_adapters.image import ImageDecoder
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
-from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.pipeline.frame_source import ClockName, Frame, FrameSource
 from selfcal_ros.values.foreign_files import read_limited
 from selfcal_ros.values.image_headers import MAX_FILE_BYTES
 from selfcal_ros.values.tracks import Tracks
@@ -137,7 +137,7 @@ class VideoSource(FrameSource):
     """
 
     kind = 'video'
-    clock = 'video'
+    clock: ClockName = 'video'
 
     def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
         """Open the video and decode its first frame."""

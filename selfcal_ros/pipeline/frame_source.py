@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -27,6 +27,13 @@ from selfcal_ros.errors import DamagedImage, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.values.tracks import Tracks
+
+
+#: Kinds of sources, and where their stamps come from; see `FrameSource`.
+SourceKind = Literal['', 'bag', 'images', 'video', 'tracks']
+ClockName = Literal['header', 'log', 'video', 'nominal', 'none']
+#: Clocks whose stamps tell when an image was taken.
+OWN_CLOCKS: tuple[ClockName, ...] = ('header', 'log', 'video')
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ class Frame:
 
 
 class _Pairs:
-    """The numbers 0 and 1 of every `stride`."""
+    """The first two of every `stride` image numbers, for `FrameSource.pairs`."""
 
     def __init__(self, stride: int):
         self._stride = stride
@@ -105,8 +112,8 @@ class FrameSource(ABC):
 
     """
 
-    kind = ''
-    clock = 'none'
+    kind: SourceKind = ''
+    clock: ClockName = 'none'
 
     def __init__(self, path: str | Path, image_size: tuple[int, int] | None = None,
                  colour: bool = False, excerpt: Excerpt = Excerpt()) -> None:
@@ -125,6 +132,11 @@ class FrameSource(ABC):
         self.image_size = self._stated_size
         self.leaves_out_damaged = False
         self._damaged: dict[int, tuple[str, str]] = {}
+
+    @property
+    def has_own_clock(self) -> bool:
+        """Tell whether the stamps say when the images were taken."""
+        return self.clock in OWN_CLOCKS
 
     @property
     def names(self) -> list[str]:

@@ -44,7 +44,7 @@ from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.long_policy import LongRecordings
 from selfcal_ros.pipeline.sources import FrameSource
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 if TYPE_CHECKING:
     from selfcal_ros.features.mask import ImageMask
@@ -199,7 +199,7 @@ def _in_pairs(frames) -> Iterator[tuple]:
 def _refused(source, settings, glances) -> tuple[NotCalibrated, LongReading]:
     """Say that nothing ever moved."""
     refusal = NotCalibrated.of(NoEstimate('no_motion'), facts=settings.facts,
-                               software=f'selfcal_ros {__version__}')
+                               software=SOFTWARE)
     nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
     return refusal, LongReading(nothing, source.description, (), source.clock,
                                 Survey(tuple(glances), (), source.began_ns))

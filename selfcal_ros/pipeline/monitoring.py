@@ -148,7 +148,7 @@ class Monitoring:
         self.forget()
 
     def forget(self) -> None:
-        """Watch nothing."""
+        """Stop monitoring, and forget what was seen so far."""
         self._generation += 1
         self._monitor: ChangeMonitor | None = None
         self._keyframes: list[Keyframe] = []
@@ -284,7 +284,7 @@ class Monitoring:
             self._of_mount.add(verdict.mount)
 
     def work_off(self) -> None:
-        """Compute all that waits, here and now."""
+        """Score all waiting windows in this thread, at once."""
         while (request := self.next_request()) is not None:
             self.accept(request, request.run())
 

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""An input of any kind in, where a known object's points were seen out."""
+"""From an input that a user names to the image points of a known object."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.feature_session import ExtractedTracks, tracks_of_table
-from selfcal_ros.pipeline.sources import Excerpt, open_source
+from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -79,42 +80,79 @@ def read_object_views(path, target: Target, topic: str | None = None,
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '
                              'the number of the point.')
-        moving = source.kind != 'images'
-        apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
-        views, stamps, missed, looked, last = [], {}, [], 0, None
-        source.leaves_out_damaged = True
-        for frame in source:
-            identity, xy = _found(target, frame.image, looked % apart == 0, mask)
-            looked += 1
-            if progress:
-                progress('Looking for the object', looked, source.count)
-            if not len(identity):
-                missed.append((frame.name or f'frame {frame.index}', frame.stamp_ns))
-            step = NEW_VIEW_FRACTION * float(np.hypot(*frame.image.shape))
-            if not len(identity) or moving and not _moved(last, (identity, xy), step):
-                continue
-            last = identity, xy
-            views.append((frame.index, identity, xy))
-            stamps[frame.index] = frame.stamp_ns
-        if not views:
-            raise InputError(f'The object was found in none of the {looked} images of {path}; '
-                             'check its numbers of columns and rows (inner corners of a board, '
-                             'tags, circles, squares of a Tsai grid), and that it is seen whole '
-                             'and sharp.')
-        findings: tuple[Finding, ...] = () if len(views) == looked else (
-            Finding('object_seen', views=len(views), images=looked),)
-        findings += source.losses()
-        if missed:
-            names, at = zip(*missed[:MAX_NAMES])
-            findings += (Finding('object_not_found', count=len(missed), names=list(names), **(
-                {'stamps_ns': list(at)} if source.kind == 'bag' else {})),)
+        seen = _search(source, target, mask, progress)
+        if not seen.views:
+            raise InputError(f'The object was found in none of the {seen.looked} images of '
+                             f'{path}; check its numbers of columns and rows (inner corners of '
+                             'a board, tags, circles, squares of a Tsai grid), and that it is '
+                             'seen whole and sharp.')
+        views, findings = seen.views, (*seen.findings(source.kind == 'bag'), *source.losses())
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
             findings += (Finding('views_used', views=most),)
         indices = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
         tracks = Tracks(indices, np.concatenate([identity for _, identity, _ in views]),
-                        np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
+                        np.concatenate([xy for *_, xy in views]), source.image_size,
+                        seen.stamps_ns)
         return ExtractedTracks(tracks, source.description, findings, source.clock)
+
+
+@dataclass
+class _Seen:
+    """
+    Where an object was seen in a recording, and where not.
+
+    Attributes
+    ----------
+    views : list of (int, ndarray of int (n,), ndarray (n, 2))
+        Frame, identities of the points, and pixels.
+    stamps_ns : dict of int to int
+        Of the views, by frame.
+    missed : list of (str, int)
+        Images without the object: name and stamp.
+    looked : int
+        Images that were searched.
+
+    """
+
+    views: list[tuple[int, np.ndarray, np.ndarray]] = field(default_factory=list)
+    stamps_ns: dict[int, int] = field(default_factory=dict)
+    missed: list[tuple[str, int]] = field(default_factory=list)
+    looked: int = 0
+
+    def findings(self, with_stamps: bool) -> tuple[Finding, ...]:
+        """Tell in how many images the object was seen, and in which it was not."""
+        findings: tuple[Finding, ...] = () if len(self.views) == self.looked else (
+            Finding('object_seen', views=len(self.views), images=self.looked),)
+        if self.missed:
+            names, at = zip(*self.missed[:MAX_NAMES])
+            findings += (Finding('object_not_found', count=len(self.missed), names=list(names), **(
+                {'stamps_ns': list(at)} if with_stamps else {})),)
+        return findings
+
+
+def _search(source: FrameSource, target: Target, mask: ImageMask | None,
+            progress: Callable | None) -> _Seen:
+    """Look for an object in all images; of a video only views that differ are kept."""
+    moving = source.kind != 'images'
+    apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
+    seen, last = _Seen(), None
+    source.leaves_out_damaged = True
+    for frame in source:
+        identity, xy = _found(target, frame.image, seen.looked % apart == 0, mask)
+        seen.looked += 1
+        if progress:
+            progress('Looking for the object', seen.looked, source.count)
+        if not len(identity):
+            seen.missed.append((frame.name or f'frame {frame.index}', frame.stamp_ns))
+            continue
+        step_px = NEW_VIEW_FRACTION * float(np.hypot(*frame.image.shape))
+        if moving and not _moved(last, (identity, xy), step_px):
+            continue
+        last = identity, xy
+        seen.views.append((frame.index, identity, xy))
+        seen.stamps_ns[frame.index] = frame.stamp_ns
+    return seen
 
 
 def _found(target, image, thorough: bool, mask: ImageMask | None):

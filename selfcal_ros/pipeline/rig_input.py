@@ -33,6 +33,7 @@ from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_f
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
                                                   whole_table)
+from selfcal_ros.pipeline.frame_source import ClockName
 from selfcal_ros.pipeline.rig_instants import at_instants, AtInstants
 from selfcal_ros.pipeline.simultaneous import SAME_NS
 from selfcal_ros.pipeline.sources import FrameSource, open_source
@@ -76,7 +77,7 @@ class RigReading:
     description: str
     findings: tuple[Finding, ...]
     topics: dict[str, str]
-    clock: str = 'none'
+    clock: ClockName = 'none'
 
 
 def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:

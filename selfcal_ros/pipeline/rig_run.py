@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recordings of several cameras through the tracker, and how it went."""
+"""Track objects through the recordings of several cameras, and summarise it."""
 
 from __future__ import annotations
 

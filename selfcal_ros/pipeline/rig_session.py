@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Images of several cameras in, poses of one object out."""
+"""Tracks one object in the images of several cameras."""
 
 from __future__ import annotations
 

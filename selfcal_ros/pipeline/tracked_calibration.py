@@ -22,8 +22,9 @@ wrong edges.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,23 +34,27 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
-from selfcal_ros.pipeline.sources import Excerpt, open_source
+from selfcal_ros.pipeline.sources import Excerpt, Frame, FrameSource, open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.values.wireframe import WireframeModel
+from selfcal_ros.version import SOFTWARE
 
 #: Focal lengths to begin with, over the longer side of the image.
 FOCAL_FRACTIONS = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
 #: How often each is tried on the first image, from where the last trial has come to.
 TRIALS = 5
+#: An edge that is not found counts as one that lies so far off, pixels; and a trial may change
+#: its focal length by this factor at most.
+UNFOUND_PX, FOCAL_RANGE = 10.0, 2.0
 #: Focal lengths that are tried on the images kept, over the one that tracked them.
 FOCAL_FACTORS = (0.75, 0.85, 0.92, 1.0, 1.09, 1.18, 1.33)
 #: Focal lengths that the object is followed with, over the one to begin with.
@@ -66,11 +71,29 @@ REACH_PX = (6, 5, 4, 3)
 ROUNDS, SETTLED = 8, 5e-4
 
 
+#: Object in the camera's frame: rotation (3, 3) and translation (3,), metres.
+Pose = tuple[np.ndarray, np.ndarray]
+
+
 @dataclass(frozen=True)
 class _Passage:
-    """What the tracker has given."""
+    """
+    What following an object through a recording has given.
 
-    views: list
+    Attributes
+    ----------
+    views : list of PosedImage
+        Images that were kept.
+    images, tracked : int
+        How many could be read, and in how many of them the object was followed.
+    reason : str
+        Why the last image was not tracked.
+    stamps_ns : dict of int to int
+        Of the views, by frame.
+
+    """
+
+    views: list[PosedImage]
     images: int
     tracked: int
     reason: str
@@ -129,103 +152,166 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
         if model.is_outlined:
             raise InputError('A mesh cannot calibrate a camera yet; give a wireframe of the '
                              'object (.cao or .yaml).')
-        camera, pose = _begin(source, model, facts, init, clicks, start, seed)
-        fine = VisibleModel(model, LINE_POINTS, CONIC_POINTS)
-        passage, result, edges = _best_passage(fine, source, camera, pose, facts, most, seed,
-                                               progress)
+        task = _Task(source, VisibleModel(model, LINE_POINTS, CONIC_POINTS), facts, most, seed,
+                     progress)
+        camera, pose = _begin(task, init, clicks, start)
+        passage, result, edges = task.best_passage(camera, pose)
         return result, _reading(source, passage, edges)
 
 
-def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, progress):
+@dataclass(frozen=True)
+class _Task:
     """
-    Follow the object with several cameras, and choose the passage whose edges fit best.
+    A recording of an object, and how a camera is calibrated from it.
 
-    A tracker with a wrong focal length may believe wrong edges all the way, and what is measured
-    around its poses then agrees with it.
+    Attributes
+    ----------
+    source : FrameSource
+    fine : VisibleModel
+        The object, with as many control points as edges are measured at.
+    facts : CameraFacts
+    most_views : int
+    seed : int
+        Of the tracker.
+    progress : callable, optional
+        Called as progress(text, done, total).
+
     """
-    best: tuple | None = None
-    for factor in FOLLOW_FACTORS:
-        trial = _with_focal(camera, factor * camera.K[0, 0])
-        depth = float(pose[0][2] @ fine.model.centre + pose[1][2])
-        start = pose[0], pose[1] + [0.0, 0.0, (factor - 1) * depth]
-        passage = _follow(source, fine.model, trial, start, most, seed, progress)
-        result, edges = _unfollowed(passage, facts), None
-        if len(passage.views) >= 2:
-            trial, views = _best_focal(fine, trial, passage.views, facts)
-            result, edges = _rounds(fine, trial, views, facts, progress)
-        # a refusal is worth less than any calibration, and the first the more than a later
-        cost = result.noise_sigma_px if result else np.inf
-        if best is None or cost < best[0]:
-            best = cost, passage, result, edges
-        if cost < SURE_FRACTION * float(np.hypot(camera.width, camera.height)):
-            break
-    assert best is not None, 'there is a factor to try'
-    return best[1:]
 
+    source: FrameSource
+    fine: VisibleModel
+    facts: CameraFacts
+    most_views: int
+    seed: int
+    progress: Callable | None
 
-def _unfollowed(passage: _Passage, facts: CameraFacts) -> NotCalibrated:
-    return NotCalibrated.of(NoEstimate('object_not_followed', why=passage.reason.rstrip('.')),
-                            motion='known-object', facts=facts,
-                            software=f'selfcal_ros {__version__}')
+    def best_passage(self, camera: Camera, pose: Pose,
+                     ) -> tuple[_Passage, Calibration | NotCalibrated, EdgeViews | None]:
+        """
+        Follow the object with several cameras, and choose the passage whose edges fit best.
 
-
-def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
-    """Return the camera and the views that explain the images best, of several focal lengths."""
-    few = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, TRIAL_VIEWS).astype(int))]
-    # the rest is held: a wrong edge must not bend it
-    held = CameraFacts(aspect_ratio=camera.K[1, 1] / camera.K[0, 0], skew=camera.K[0, 1],
-                       principal_point=tuple(camera.K[:2, 2]), distortion='none')
-    best, least = (camera, views), np.inf
-    for factor in FOCAL_FACTORS:
-        trial, moved = _refocused(fine.model, camera, few, factor)
-        for reach in REACH_PX[:2]:
-            edges = measure_edges(fine, trial, moved, reach)
-            if edges is None:
+        A tracker with a wrong focal length may believe wrong edges all the way, and what is
+        measured around its poses then agrees with it.
+        """
+        best, least = None, np.inf
+        for factor in FOLLOW_FACTORS:
+            trial = _with_focal(camera, factor * camera.K[0, 0])
+            depth = float(pose[0][2] @ self.fine.model.centre + pose[1][2])
+            start = pose[0], pose[1] + [0.0, 0.0, (factor - 1) * depth]
+            passage = self.follow(trial, start)
+            if len(passage.views) >= 2:
+                result, edges = self.refined(*self.best_focal(trial, passage.views))
+            else:
+                why = passage.reason.rstrip('.')
+                result, edges = self.refused('object_not_followed', why=why), None
+            # a refusal is worth less than any calibration, and the first the more than a later
+            cost = result.noise_sigma_px if result else np.inf
+            if best is None or cost < least:
+                best, least = (passage, result, edges), cost
+            if cost < SURE_FRACTION * float(np.hypot(camera.width, camera.height)):
                 break
-            adjusted = adjust_to_edges(edges, trial, held)
-            if isinstance(adjusted, NoEstimate):
+        assert best is not None, 'there is a factor to try'
+        return best
+
+    def refused(self, kind: str, **values: object) -> NotCalibrated:
+        """Return a refusal for the caller."""
+        return NotCalibrated.of(NoEstimate(kind, **values), motion='known-object',
+                                facts=self.facts, software=SOFTWARE)
+
+    def follow(self, camera: Camera, pose: Pose) -> _Passage:
+        """Follow the object through all images, and keep some of them."""
+        source, most = self.source, self.most_views
+        # that the camera is wrong is known here
+        session = TrackingSession(self.fine.model, TrackerOptions(doubt=False), camera, self.seed)
+        session.start(*pose)
+        step = max(1, (source.count or 2 * most) // (2 * most))
+        views: list[PosedImage] = []
+        images, good, reason = 0, 0, 'no image could be used'
+        stamps: dict[int, int] = {}
+        timed = source.clock != 'nominal'
+        for frame in source:
+            try:
+                tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+            except InputError as error:
+                reason = str(error)
+                continue
+            images += 1
+            if self.progress:
+                self.progress('Tracking', images, source.count)
+            if tracked.state is not TrackerState.TRACKING:
+                reason = tracked.reason or reason
+                continue
+            if good % step == 0:
+                stamps[frame.index] = frame.stamp_ns
+                views.append(PosedImage(frame.index, frame.image, tracked.rotation,
+                                        tracked.translation))
+            good += 1
+            if len(views) > 4 * most:
+                # a source that does not tell its length: every second will do from here on
+                views, step = views[::2], 2 * step
+        if len(views) > most:
+            views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
+        return _Passage(views, images, good, reason, stamps)
+
+    def best_focal(self, camera: Camera, views: list[PosedImage],
+                   ) -> tuple[Camera, list[PosedImage]]:
+        """Return the camera and the views that explain the images best, of several lengths."""
+        few = [views[k]
+               for k in np.unique(np.linspace(0, len(views) - 1, TRIAL_VIEWS).astype(int))]
+        # the rest is held: a wrong edge must not bend it
+        held = CameraFacts(aspect_ratio=camera.K[1, 1] / camera.K[0, 0], skew=camera.K[0, 1],
+                           principal_point=tuple(camera.K[:2, 2]), distortion='none')
+        best, least = (camera, views), np.inf
+        for factor in FOCAL_FACTORS:
+            trial, moved = _refocused(self.fine.model, camera, few, factor)
+            for reach in REACH_PX[:2]:
+                edges = measure_edges(self.fine, trial, moved, reach)
+                if edges is None:
+                    break
+                adjusted = adjust_to_edges(edges, trial, held)
+                if isinstance(adjusted, NoEstimate):
+                    break
+                trial, poses = adjusted
+                moved = _posed(moved, poses)
+            score = edge_misfit(self.fine, trial, moved)
+            if score < least:
+                least = score
+                best = _refocused(self.fine.model, camera, views, trial.K[0, 0] / camera.K[0, 0])
+        return best
+
+    def refined(self, camera: Camera, views: list[PosedImage],
+                ) -> tuple[Calibration | NotCalibrated, EdgeViews | None]:
+        """Measure and adjust in turn; returns the result and the edgels that it rests on."""
+        result: Calibration | NotCalibrated | None = None
+        edges = None
+        for number in range(ROUNDS):
+            if self.progress:
+                self.progress('Measuring edges', number, ROUNDS)
+            found = measure_edges(self.fine, camera, views,
+                                  REACH_PX[min(number, len(REACH_PX) - 1)])
+            if found is None:
                 break
-            trial, poses = adjusted
-            moved = _posed(moved, edges, poses)
-        score = edge_misfit(fine, trial, moved)
-        if score < least:
-            least = score
-            best = _refocused(fine.model, camera, views, trial.K[0, 0] / camera.K[0, 0])
-    return best
-
-
-def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
-    """Measure and adjust in turn; returns the result and the edgels that it rests on."""
-    result, edges = None, None
-    for number in range(ROUNDS):
-        if progress:
-            progress('Measuring edges', number, ROUNDS)
-        found = measure_edges(fine, camera, views, REACH_PX[min(number, len(REACH_PX) - 1)])
-        if found is None:
-            break
-        edges = found
-        # only the last round needs a covariance, but nobody knows which will be the last
-        result = calibrate_from_edges(edges, camera, facts=facts)
-        if not result:
-            adjusted = adjust_to_edges(edges, camera, facts)
-            if isinstance(adjusted, NoEstimate):
+            edges = found
+            # only the last round needs a covariance, but nobody knows which will be the last
+            result = calibrate_from_edges(edges, camera, facts=self.facts)
+            if not result:
+                adjusted = adjust_to_edges(edges, camera, self.facts)
+                if isinstance(adjusted, NoEstimate):
+                    break
+                before, (camera, poses) = camera, adjusted
+            else:
+                before, camera = camera, result.camera
+                poses = dict(zip(result.reconstructed.frames.tolist(),
+                                 result.reconstructed.cam_from_world))
+            views = _posed(views, poses)
+            settled = abs(camera.K[0, 0] / before.K[0, 0] - 1) < SETTLED
+            if number >= len(REACH_PX) and settled:
                 break
-            before, (camera, poses) = camera, adjusted
-        else:
-            before, camera = camera, result.camera
-            poses = dict(zip(result.reconstructed.frames.tolist(),
-                             result.reconstructed.cam_from_world))
-        views = _posed(views, edges, poses)
-        settled = abs(camera.K[0, 0] / before.K[0, 0] - 1) < SETTLED
-        if number >= len(REACH_PX) and settled:
-            break
-    if result is None:
-        result = NotCalibrated.of(NoEstimate('edges_not_measured'), motion='known-object',
-                                  facts=facts, software=f'selfcal_ros {__version__}')
-    return result, edges
+        return self.refused('edges_not_measured') if result is None else result, edges
 
 
-def _refocused(model, camera: Camera, views: list, factor: float):
+def _refocused(model: WireframeModel, camera: Camera, views: list[PosedImage], factor: float,
+               ) -> tuple[Camera, list[PosedImage]]:
     """Return camera and views at another focal length: the object looks alike, but for depth."""
     moved = []
     for view in views:
@@ -235,56 +321,55 @@ def _refocused(model, camera: Camera, views: list, factor: float):
     return _with_focal(camera, factor * camera.K[0, 0]), moved
 
 
-def _posed(views: list, edges: EdgeViews, poses) -> list:
-    """Return the views at adjusted poses, by frame; those that were left out keep theirs."""
+def _posed(views: list[PosedImage], poses: Mapping[int, np.ndarray]) -> list[PosedImage]:
+    """Return the views at adjusted poses [R | t], by frame; others keep theirs."""
     return [view if view.index not in poses else replace(
         view, rotation=poses[view.index][:, :3], translation=poses[view.index][:, 3])
         for view in views]
 
 
-def _begin(source, model, facts, init, clicks, start, seed):
+def _begin(task: _Task, init: str | None, clicks: Any, start: Camera | None,
+           ) -> tuple[Camera, Pose]:
     """Return the camera and the pose to begin with."""
     if not init:
         raise ArgumentError('--track needs to know where the object is in the first image: '
                             '--init "tx ty tz rx ry rz", or --init FILE.init with --clicks.')
     if start is not None:
         return start, read_start(init, clicks, start)
-    frame = next(iter(source), None)
-    best, least, problem = None, np.inf, None
+    frame, size = next(iter(task.source), None), task.source.image_size
+    best: tuple[Camera, Pose] | None = None
+    least, problem = np.inf, None
     for share in FOCAL_FRACTIONS if frame is not None else ():
-        camera = _guess(source.image_size, share, facts)
+        assert frame is not None and size is not None
+        camera = _guess(size, share, task.facts)
         try:
-            score, *begin = _trial(frame, model, camera, read_start(init, clicks, camera), seed)
+            score, camera, pose = _trial(frame, task, camera, read_start(init, clicks, camera))
         except InputError as error:
             problem = error
             continue
         if score < least:
-            best, least = begin, score
+            best, least = (camera, pose), score
     if best is None:
         raise InputError(f'{problem or "There are no images."} Or state the camera to begin with '
                          '(--camera).')
     return best
 
 
-def _guess(size, share: float, facts: CameraFacts) -> Camera:
+def _guess(size: tuple[int, int], share: float, facts: CameraFacts) -> Camera:
     """Return a camera from facts and a focal length over the longer side."""
-    f = share * max(size)
-    aspect = 1.0 if facts.aspect_ratio is None else facts.aspect_ratio
-    cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    return Camera(np.array([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]]),
-                  np.zeros(0), *size)
+    return Camera(supposed_matrix(share * max(size), size, facts), np.zeros(0), *size)
 
 
-def _trial(frame, model, camera: Camera, pose, seed):
+def _trial(frame: Frame, task: _Task, camera: Camera, pose: Pose) -> tuple[float, Camera, Pose]:
     """Return how badly a camera fits the first image (the less, the better), camera and pose."""
     options = TrackerOptions(camera_model='zoom', recovery=False, doubt=False)
-    session = TrackingSession(model, options, camera, seed)
+    session = TrackingSession(task.fine.model, options, camera, task.seed)
     session.start(*pose)
     for _ in range(TRIALS):
         tracked = session.add(frame.image)
-    rms = tracked.rms_px if np.isfinite(tracked.rms_px) else 10.0
-    score = 10 * (1 - tracked.share_found) + rms
-    if tracked and 0.5 < tracked.focal_px / camera.K[0, 0] < 2:
+    rms_px = tracked.rms_px if np.isfinite(tracked.rms_px) else UNFOUND_PX
+    score = UNFOUND_PX * (1 - tracked.share_found) + rms_px
+    if tracked and 1 / FOCAL_RANGE < tracked.focal_px / camera.K[0, 0] < FOCAL_RANGE:
         return (score, _with_focal(camera, tracked.focal_px),
                 (tracked.rotation, tracked.translation))
     return score, camera, pose
@@ -296,41 +381,7 @@ def _with_focal(camera: Camera, focal_px: float) -> Camera:
     return Camera(K, camera.distortion, camera.width, camera.height, camera.model)
 
 
-def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
-    """Follow the object through all images, and keep some of them."""
-    # that the camera is wrong is known here
-    session = TrackingSession(model, TrackerOptions(doubt=False), camera, seed)
-    session.start(*pose)
-    step = max(1, (source.count or 2 * most) // (2 * most))
-    views, images, good, reason = [], 0, 0, 'no image could be used'
-    stamps: dict[int, int] = {}
-    timed = source.clock != 'nominal'
-    for frame in source:
-        try:
-            tracked = session.add(frame.image, frame.stamp_ns if timed else None)
-        except InputError as error:
-            reason = str(error)
-            continue
-        images += 1
-        if progress:
-            progress('Tracking', images, source.count)
-        if tracked.state is not TrackerState.TRACKING:
-            reason = tracked.reason or reason
-            continue
-        if good % step == 0:
-            stamps[frame.index] = frame.stamp_ns
-            views.append(PosedImage(frame.index, frame.image, tracked.rotation,
-                                    tracked.translation))
-        good += 1
-        if len(views) > 4 * most:
-            # a source that does not tell its length: every second will do from here on
-            views, step = views[::2], 2 * step
-    if len(views) > most:
-        views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
-    return _Passage(views, images, good, reason, stamps)
-
-
-def _reading(source, passage: _Passage, edges: EdgeViews | None) -> ExtractedTracks:
+def _reading(source: FrameSource, passage: _Passage, edges: EdgeViews | None) -> ExtractedTracks:
     """Return the edgels as tracks, one a control point, for the report."""
     findings = (Finding('object_followed', tracked=passage.tracked, images=passage.images,
                         measured=len(passage.views)),)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How it went to follow an object through a recording, as numbers and as text."""
+"""The summary of tracking an object through a recording, as numbers and as text."""
 
 from __future__ import annotations
 

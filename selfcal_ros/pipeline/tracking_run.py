@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A whole recording through the tracker, for whoever listens, and how it went."""
+"""Track objects through a whole recording: listeners get each frame, the caller a summary."""
 
 from __future__ import annotations
 

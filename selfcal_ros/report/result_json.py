@@ -36,6 +36,7 @@ from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.board_shape import board_shape
 from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
 from selfcal_ros.values.output_files import atomic_write
+from selfcal_ros.values.parameter_status import Status
 from selfcal_ros.values.track_labels import NAMES, STILL_IN_IMAGE, TrackLabels
 
 #: Version of what is written; the first had none.
@@ -254,8 +255,9 @@ def _refusal(content: dict) -> NotCalibrated:
 def _hint(stored: dict, refusal: NotCalibrated) -> Calibration:
     """Read what the images suggest; the rest is that of the refusal."""
     camera = _stored_camera(stored['camera'])
-    status = {name: 'held' if sigma == 0 else 'unobservable' if sigma is None else 'estimated'
-              for name, sigma in stored['sigma'].items()}
+    status: dict[str, Status] = {
+        name: 'held' if sigma == 0 else 'unobservable' if sigma is None else 'estimated'
+        for name, sigma in stored['sigma'].items()}
     return Calibration(
         camera=camera, covariance=_stored_covariance(stored, camera), status=status, held_by={},
         motion=refusal.motion, facts=refusal.facts, frames=refusal.frames,

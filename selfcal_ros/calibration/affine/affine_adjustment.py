@@ -178,6 +178,12 @@ class _Adjustment:
 
     def optimise(self, cameras: np.ndarray, points: np.ndarray, iterations: int,
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """
+        Minimise Huber's loss; cameras, points, covariance of the cameras, and noise.
+
+        Levenberg-Marquardt in a loop of its own: the noise, and with it the cost, is estimated
+        anew in each step, which `levenberg_marquardt.minimise` does not allow for.
+        """
         residual = self.residuals(cameras, points)
         sigma = self.sigma(residual)
         damping = 1e-4

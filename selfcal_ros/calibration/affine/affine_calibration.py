@@ -14,7 +14,7 @@
 """
 Calibration from affine structure: translated views, then rotated ones (thesis chapter 4).
 
-Two translated views give the points up to an affine map (algorithm 4.1), resection against them
+Two translated views give the points up to an affine map (algorithm 4.1). Resection against them
 gives every further camera, and the left halves of the cameras are the infinite homographies
 (algorithm 4.2). An adjustment of the affine cameras and points in between, which needs no
 calibration, makes the homographies as good as the images allow and gives their covariance.
@@ -52,6 +52,8 @@ _HUBER_SIGMAS = 2.5
 _PLANE_RATIO = 3.0
 #: Displacements that vary by less than this are one displacement.
 _MIN_PARALLAX_PX = 1e-4
+#: Upper quartile of the absolute value of a normal deviate.
+_UPPER_QUARTILE = 1.1503
 
 
 @dataclass(frozen=True)
@@ -180,66 +182,152 @@ def affine_structure(tracks: Tracks, translated: Sequence[int] | np.ndarray, ref
     pair = translated_pair(tracks, translated)
     if isinstance(pair, NoEstimate):
         return pair
-    first, second, epipole = pair
     tracks = tracks.with_at_least(2)
-    names, track = np.unique(tracks.track, return_inverse=True)
     group = {int(f) for f in translated}
-    track_ids, xy_a, xy_b = tracks.matches(first, second)
-    row = np.searchsorted(names, track_ids)
-    points = np.full((len(names), 4), np.nan)
-    points[row] = translated_points(epipole, xy_a, xy_b)
-    # inverse depths of the order of one
-    size = np.median(np.abs(points[row, 3]))
-    flat = _plane_ratio(points[row], epipole, xy_a, xy_b)
-    if not (size > 0 and flat > _PLANE_RATIO):
-        return NoEstimate('translated_scene_flat', first=first, second=second, ratio=float(flat))
-    points[row, 3] /= size
-    epipole = epipole * size
-    standing = [first, second]
-    failure: NoEstimate | None = None
-    cameras = [np.eye(3, 4), np.column_stack([np.eye(3), epipole])]
-    waiting = [int(f) for f in tracks.frames if f not in standing]
-    while waiting:
-        known = np.isfinite(points).all(axis=1)
-        seen = [int(np.sum(known[track[tracks.frame == f]])) for f in waiting]
-        k = int(np.argmax(seen))
-        if seen[k] < MIN_MATCHES:
-            break
-        frame = waiting.pop(k)
-        rows = np.flatnonzero((tracks.frame == frame) & known[track])
-        if frame in group:
-            camera = _translated_camera(points[track[rows]], tracks.xy[rows])
-        else:
-            found = resect(points[track[rows]], tracks.xy[rows], huber_sigmas=_HUBER_SIGMAS)
-            camera = None if isinstance(found, NoEstimate) else found.P
-            failure = found if isinstance(found, NoEstimate) else failure
-        if camera is None:
-            continue
-        standing.append(frame)
-        cameras.append(camera)
-        if refine and not known.all():
-            _add_points(points, tracks, track, standing, np.array(cameras))
-    if failure is not None and group.issuperset(standing):
+    scene = _GrowingScene.of_pair(tracks, pair)
+    if isinstance(scene, NoEstimate):
+        return scene
+    failure = scene.add_views(group, refine)
+    if failure is not None and group.issuperset(scene.frames):
         return failure
-    frames = np.array(standing)
-    known = np.isfinite(points).all(axis=1)
-    mask = np.isin(tracks.frame, frames) & known[track]
-    mask &= np.bincount(track[mask], minlength=len(names))[track] >= 2
-    kept = tracks.select(mask)
+    kept = scene.placed_observations()
     ids, point = np.unique(kept.track, return_inverse=True)
-    order = np.argsort(frames)
-    view = order[np.searchsorted(frames[order], kept.frame)]
-    free = ~np.isin(frames, list(group))
-    views = AffineViews(np.array(cameras), points[np.searchsorted(names, ids)], ~free,
-                        view, point, kept.xy)
+    is_free = ~np.isin(scene.frames, list(group))
+    views = AffineViews(np.array(scene.cameras), scene.points[np.searchsorted(scene.names, ids)],
+                        ~is_free, scene.view_of(kept.frame), point, kept.xy)
     adjusted = adjust(views, iterations=25 if refine else 0)
-    H, slope = unit_determinant(adjusted.cameras[free][:, :, :3])
+    H, slope = unit_determinant(adjusted.cameras[is_free][:, :, :3])
     n = len(H)
     covariance = np.einsum('iab,ibjc,jdc->iajd', slope,
                            adjusted.covariance.reshape(n, 9, n, 9), slope, optimize=True)
-    return AffineReconstruction(frames, ~free, adjusted.cameras, ids, adjusted.points,
+    return AffineReconstruction(np.array(scene.frames), ~is_free, adjusted.cameras, ids,
+                                adjusted.points,
                                 InfiniteHomographies(H, covariance.reshape(1, 9 * n, 9 * n)),
                                 adjusted.sigma_px)
+
+
+@dataclass
+class _GrowingScene:
+    """
+    An affine scene to which views are added one by one, the one that sees most of it first.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    names : ndarray of int, shape (P,)
+        Track identities of the points.
+    track : ndarray of int, shape (N,)
+        Point of every observation.
+    points : ndarray, shape (P, 4)
+        NaN where a point is not placed yet.
+    frames : list of int
+        Of the views that have a camera; the reference first.
+    cameras : list of ndarray, shape (3, 4)
+
+    """
+
+    tracks: Tracks
+    names: np.ndarray
+    track: np.ndarray
+    points: np.ndarray
+    frames: list[int]
+    cameras: list[np.ndarray]
+
+    @classmethod
+    def of_pair(cls, tracks: Tracks, pair: tuple[int, int, np.ndarray],
+                ) -> _GrowingScene | NoEstimate:
+        """Place the points of two translated views with an epipole (algorithm 4.1)."""
+        first, second, epipole = pair
+        names, track = np.unique(tracks.track, return_inverse=True)
+        track_ids, xy_a, xy_b = tracks.matches(first, second)
+        row = np.searchsorted(names, track_ids)
+        points = np.full((len(names), 4), np.nan)
+        points[row] = translated_points(epipole, xy_a, xy_b)
+        # inverse depths of the order of one
+        size = np.median(np.abs(points[row, 3]))
+        ratio = _plane_ratio(points[row], epipole, xy_a, xy_b)
+        if not (size > 0 and ratio > _PLANE_RATIO):
+            return NoEstimate('translated_scene_flat', first=first, second=second,
+                              ratio=float(ratio))
+        points[row, 3] /= size
+        return cls(tracks, names, track, points, [first, second],
+                   [np.eye(3, 4), np.column_stack([np.eye(3), epipole * size])])
+
+    @property
+    def is_placed(self) -> np.ndarray:
+        """Mark the points that have a place, shape (P,)."""
+        placed: np.ndarray = np.isfinite(self.points).all(axis=1)
+        return placed
+
+    def view_of(self, frame: np.ndarray) -> np.ndarray:
+        """Return the views of frames (n,) that have a camera."""
+        frames = np.array(self.frames)
+        order = np.argsort(frames)
+        view: np.ndarray = order[np.searchsorted(frames[order], frame)]
+        return view
+
+    def _seen_twice(self, mask: np.ndarray) -> np.ndarray:
+        """Mark observations (N,) of a mask, of placed views, whose points have two or more."""
+        mask = np.isin(self.tracks.frame, self.frames) & mask
+        twice: np.ndarray = mask & (np.bincount(self.track[mask],
+                                                minlength=len(self.names))[self.track] >= 2)
+        return twice
+
+    def placed_observations(self) -> Tracks:
+        """Return what the views see of placed points, each by two views at least."""
+        return self.tracks.select(self._seen_twice(self.is_placed[self.track]))
+
+    def add_views(self, translated: set[int], grows: bool) -> NoEstimate | None:
+        """
+        Resect against the scene all views that see enough of it (algorithm 4.2).
+
+        Parameters
+        ----------
+        translated : set of int
+            Frames whose camera is [I | e].
+        grows : bool
+            Whether new views place further points.
+
+        Returns
+        -------
+        NoEstimate or None
+            Why the last view that failed has no camera.
+
+        """
+        failure: NoEstimate | None = None
+        waiting = [int(f) for f in self.tracks.frames if f not in self.frames]
+        while waiting:
+            placed = self.is_placed
+            seen = [int(np.sum(placed[self.track[self.tracks.frame == f]])) for f in waiting]
+            k = int(np.argmax(seen))
+            if seen[k] < MIN_MATCHES:
+                break
+            frame = waiting.pop(k)
+            rows = np.flatnonzero((self.tracks.frame == frame) & placed[self.track])
+            points, xy = self.points[self.track[rows]], self.tracks.xy[rows]
+            camera: np.ndarray | None
+            if frame in translated:
+                camera = _translated_camera(points, xy)
+            else:
+                found = resect(points, xy, huber_sigmas=_HUBER_SIGMAS)
+                camera = None if isinstance(found, NoEstimate) else found.P
+                failure = found if isinstance(found, NoEstimate) else failure
+            if camera is None:
+                continue
+            self.frames.append(frame)
+            self.cameras.append(camera)
+            if grows and not placed.all():
+                self._add_points()
+        return failure
+
+    def _add_points(self) -> None:
+        """Triangulate points that views see at least twice and that are not placed yet."""
+        mask = self._seen_twice(~self.is_placed[self.track])
+        if mask.any():
+            rows, index = np.unique(self.track[mask], return_inverse=True)
+            self.points[rows] = triangulate(np.array(self.cameras),
+                                            self.view_of(self.tracks.frame[mask]), index,
+                                            self.tracks.xy[mask])
 
 
 def _plane_ratio(points: np.ndarray, epipole: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray,
@@ -256,8 +344,8 @@ def _plane_ratio(points: np.ndarray, epipole: np.ndarray, xy_a: np.ndarray, xy_b
         left = np.abs(points[:, 3] - points[:, :3] / np.abs(A).max(axis=0) @ plane) * reach
         spread = 3 * np.median(left) + 1e-300
         weight = reach / np.sqrt(1 + (left / spread)**2)
-    # a share of the points off the plane is enough: the upper quartile, as of a normal spread
-    return float(np.percentile(left, 75) / 1.1503 / noise)
+    # a share of the points off the plane is enough: the upper quartile
+    return float(np.percentile(left, 75) / _UPPER_QUARTILE / noise)
 
 
 def _translated_camera(points: np.ndarray, xy: np.ndarray) -> np.ndarray | None:
@@ -283,21 +371,6 @@ def _translated_camera(points: np.ndarray, xy: np.ndarray) -> np.ndarray | None:
         limit = _HUBER_SIGMAS * max(robust_sigma_of_lengths(distance), 1e-9)
         weight = huber_weights(distance, limit)
     return np.column_stack([np.eye(3), e]) if np.isfinite(e).all() else None
-
-
-def _add_points(points: np.ndarray, tracks: Tracks, track: np.ndarray, standing: list[int],
-                cameras: np.ndarray) -> None:
-    """Triangulate tracks that standing views see at least twice and that are not placed yet."""
-    fresh = ~np.isfinite(points).all(axis=1)
-    frames = np.array(standing)
-    mask = np.isin(tracks.frame, frames) & fresh[track]
-    mask &= np.bincount(track[mask], minlength=len(points))[track] >= 2
-    if not mask.any():
-        return
-    rows, index = np.unique(track[mask], return_inverse=True)
-    order = np.argsort(frames)
-    view = order[np.searchsorted(frames[order], tracks.frame[mask])]
-    points[rows] = triangulate(cameras, view, index, tracks.xy[mask])
 
 
 def calibrate_affine(tracks: Tracks, translated: Sequence[int] | np.ndarray, size: tuple[int, int],

@@ -33,6 +33,7 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_isf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 
 #: Rotations that leave this axis by less (degrees) are called rotations about it.
 _NEAR_AXIS_DEG = 15.0
@@ -40,6 +41,16 @@ _NEAR_AXIS_DEG = 15.0
 _IDENTITY_SLACK = 1.5
 #: Rotations below this are too small to tell their axis.
 _MIN_TURN_DEG = 1.0
+#: Sigmas of a very wide prior on (log f, log ζ, cx, cy, skew), in image sides where they have a
+#: length: it holds what nothing else does.
+_WIDE = np.array([3.0, 1.0, 1.0, 1.0, 1.0])
+#: Largest log f (image sides) and log ζ of a start, and of what is tried: no lens is longer, and
+#: no pixel narrower. Largest step of both, over which the linear model may hold.
+_LARGEST_START, _LARGEST_LOG, _LARGEST_STEP = 4.0, 4.5, 0.7
+#: Largest principal point and skew that is tried, in image sides.
+_LARGEST_OFFSET = 50.0
+#: Optima whose costs differ by less are one.
+_EQUAL_COST = 1e-3
 #: Focal lengths from which the least squares start, too (image sizes).
 _SUPPOSED = (0.7, 1.3, 2.6)
 _LOG_F, _LOG_ASPECT, _CX, _CY, _SKEW = range(5)
@@ -82,6 +93,26 @@ class _Constraints:
     def __init__(self, H: np.ndarray, covariance: np.ndarray) -> None:
         self.H = H
         self.covariance = covariance + ROUNDING**2 * np.eye(covariance.shape[1])
+
+    @classmethod
+    def carried(cls, homographies: InfiniteHomographies, T: np.ndarray) -> _Constraints:
+        """Carry homographies of pixels to coordinates T x, in which f is of the order of one."""
+        inverse = np.linalg.inv(T)
+        entries = homographies.covariance.shape[1]
+        carry = np.kron(np.eye(entries // 9), np.kron(T, inverse.T))
+        return cls(T @ homographies.H @ inverse, carry @ homographies.covariance @ carry.T)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of an entry of H, root mean square."""
+        groups, entries, _ = self.covariance.shape
+        return float(np.sqrt(np.einsum('gii->', self.covariance) / (groups * entries)))
+
+    def rotations(self, theta: np.ndarray) -> np.ndarray:
+        """Return the rotation vectors (n, 3) nearest to K^-1 H K, radians."""
+        K = self.K(theta)
+        U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ self.H @ K)
+        return rotation_vector(U @ Vt)
 
     @staticmethod
     def K(theta: np.ndarray) -> np.ndarray:
@@ -138,9 +169,12 @@ class _Constraints:
 def _solve(constraints: _Constraints, theta: np.ndarray, free: np.ndarray,
            facts_terms: tuple[np.ndarray, np.ndarray], iterations: int = 30,
            ) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """Gauss-Newton with damping, weights renewed in each step; theta, cost, information."""
-    # a very wide prior holds what nothing else does
-    wide = np.array([3.0, 1.0, 1.0, 1.0, 1.0])
+    """
+    Gauss-Newton with damping, weights renewed in each step; theta, cost, misfit, information.
+
+    A loop of its own: the weights W are those of each step, so that costs of two steps do not
+    compare as `levenberg_marquardt.minimise` compares them.
+    """
     targets, sigmas = facts_terms
     index = np.flatnonzero(free)
 
@@ -148,24 +182,25 @@ def _solve(constraints: _Constraints, theta: np.ndarray, free: np.ndarray,
         r = constraints.residuals(t)
         fact = (t - targets) / sigmas
         return float(_square(r, W) + np.sum(fact[np.isfinite(sigmas)]**2)
-                     + np.sum((t / wide)[free]**2))
+                     + np.sum((t / _WIDE)[free]**2))
 
     damping = 1e-3
     for _ in range(iterations):
         r, J, W = constraints.evaluate(theta)
         cost = total(theta, W)
         H, g = _normal(r, J, W)
-        H[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0) + 1 / wide**2
+        H[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0) + 1 / _WIDE**2
         g += np.where(np.isfinite(sigmas), (theta - targets) / sigmas**2, 0)
-        g += theta / wide**2
+        g += theta / _WIDE**2
         A, b = H[np.ix_(index, index)], g[index]
         moved = False
         while damping < 1e8:
             step = np.zeros(5)
             step[index] = -np.linalg.solve(A + damping * np.diag(np.diag(A)), b)
-            step *= min(1.0, 0.7 / max(np.abs(step[:2]).max(), 1e-300))
+            step *= min(1.0, _LARGEST_STEP / max(np.abs(step[:2]).max(), 1e-300))
             trial = theta + step
-            if np.abs(trial[:2]).max() < 4.5 and np.abs(trial[2:]).max() < 50:
+            if (np.abs(trial[:2]).max() < _LARGEST_LOG
+                    and np.abs(trial[2:]).max() < _LARGEST_OFFSET):
                 new = total(trial, W)
                 if new < cost:
                     theta, moved, damping = trial, True, max(0.1 * damping, 1e-12)
@@ -229,52 +264,47 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
                   [0, 0, 1]])
     inverse = np.linalg.inv(T)
-    groups, entries, _ = homographies.covariance.shape
-    carry = np.kron(np.eye(entries // 9), np.kron(T, inverse.T))
-    H = T @ homographies.H @ inverse
-    constraints = _Constraints(H, carry @ homographies.covariance @ carry.T)
-    if _is_identity(H, constraints.covariance):
+    constraints = _Constraints.carried(homographies, T)
+    if _is_identity(constraints.H, constraints.covariance):
         return _nothing(facts, 'views_rotated_within_noise')
-    noise = float(np.sqrt(np.einsum('gii->', constraints.covariance) / (groups * entries)))
     scaled = _scaled_facts(facts, scale, middle)
-    candidates, family = linear_conic(H, noise, scaled)
+    candidates, family = linear_conic(constraints.H, constraints.noise, scaled)
+    closed = [(name, K) for name, conic in candidates
+              if not isinstance(K := camera_from_dual_conic(conic), NoEstimate)]
     free, start, terms = _fact_terms(scaled)
-    starts, linear = [], None
-    for name, conic in candidates:
-        K = camera_from_dual_conic(conic)
-        if isinstance(K, NoEstimate):
-            continue
-        if linear is None:
-            linear = inverse @ K
-        starts.append((name, np.where(free, _theta(K), start)))
+    starts = [(name, np.where(free, _theta(K), start)) for name, K in closed]
     for focal in _SUPPOSED:
         supposed = start.copy()
         supposed[_LOG_F] = np.log(focal)
         starts.append(('search', supposed))
     solved = [(name, *_solve(constraints, theta, free, terms)) for name, theta in starts
-              if np.abs(theta[:2]).max() < 4]
+              if np.abs(theta[:2]).max() < _LARGEST_START]
     # of equals the closed form
     best = min(cost for _, _, cost, _, _ in solved)
-    name, theta, _, misfit, information = next(s for s in solved if s[2] <= best + 1e-3)
+    name, theta, _, misfit, information = next(s for s in solved if s[2] <= best + _EQUAL_COST)
     K = inverse @ constraints.K(theta)
-    freedom = max(5 * len(H) - int(free.sum()), 1)
+    freedom = max(5 * len(constraints.H) - int(free.sum()), 1)
     covariance, log_aspect_sigma, open_directions = _judge(
         information, free, K, scale, max(misfit / freedom, 1.0))
     camera = Camera(np.triu(K), width=size[0], height=size[1])
+    status = _status(camera, covariance, facts)
+    status['aspect_ratio'] = ('held' if not free[_LOG_ASPECT] else 'estimated'
+                              if log_aspect_sigma < FOCAL_FRACTION else 'unobservable')
+    rotations = constraints.rotations(theta)
+    if 'unobservable' in status.values():
+        return _explain(status, rotations, family, facts, open_directions)
+    linear_K = np.triu(inverse @ closed[0][1]) if closed else None
+    return ConicCalibration(camera.K, covariance, linear_K, name, rotations,
+                            float(np.sqrt(misfit / freedom)))
+
+
+def _status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, Status]:
+    """Tell the status of fx, fy, cx, cy, skew, of covariance (5, 5)."""
     count = len(MATRIX_PARAMETERS)
     whole = np.zeros((len(camera.parameters),) * 2)
     whole[:count, :count] = covariance
-    status = {k: v for k, v in parameter_status(camera, whole, facts).items()
-              if k in MATRIX_PARAMETERS}
-    status['aspect_ratio'] = ('held' if not free[_LOG_ASPECT] else 'estimated'
-                              if log_aspect_sigma < FOCAL_FRACTION else 'unobservable')
-    near = constraints.K(theta)
-    U, _, Vt = np.linalg.svd(np.linalg.inv(near) @ H @ near)
-    rotations = rotation_vector(U @ Vt)
-    if 'unobservable' in status.values():
-        return _explain(status, rotations, family, facts, open_directions)
-    return ConicCalibration(camera.K, covariance, None if linear is None else np.triu(linear),
-                            name, rotations, float(np.sqrt(misfit / freedom)))
+    return {k: v for k, v in parameter_status(camera, whole, facts).items()
+            if k in MATRIX_PARAMETERS}
 
 
 def _is_identity(H: np.ndarray, covariance: np.ndarray) -> bool:
@@ -346,10 +376,10 @@ def _judge(information: np.ndarray, free: np.ndarray, K: np.ndarray, scale: floa
     return J @ small @ J.T, float(np.sqrt(small[1, 1])), tuple(directions)
 
 
-def _explain(status: dict[str, str], rotations: np.ndarray, family: bool, facts: CameraFacts,
+def _explain(status: dict[str, Status], rotations: np.ndarray, family: bool, facts: CameraFacts,
              open_directions: tuple[str, ...]) -> NoEstimate:
     """Tell what is open and which rotation would help."""
-    missing = tuple(name for name, state in status.items() if state == 'unobservable')
+    missing = unobservable_among(status, status)
     _, spread, axes = np.linalg.svd(rotations, full_matrices=True)
     largest = float(np.degrees(np.linalg.norm(rotations, axis=1).max()))
     along = np.degrees(np.arccos(np.clip(np.abs(axes[0]), 0, 1)))

@@ -240,9 +240,11 @@ class Bundle(Generic[StateT]):
         ----------
         state : BundleState
         iterations : int
+            At most; it bounds the time.
         tolerance : float
             Stop when an iteration lowers the cost by less than this, in units of sigma²: all
             unknowns together then move by less than about √(2 · tolerance) of their sigma.
+            `bundle/tolerances.py` has those in use.
 
         Returns
         -------

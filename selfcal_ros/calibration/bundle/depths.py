@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-On which side of infinity the points of an optimum lie.
+Whether the points of an optimum lie ahead of the cameras or behind them (chirality).
 
 A homogeneous point may pass through infinity: then its directions stay ahead of the cameras while
 its place is behind them. Noise puts far points there. An optimum that puts many points there by

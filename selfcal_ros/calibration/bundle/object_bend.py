@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The shape block of a board: how far its points stand off the plane that they should be in.
+The shape block of a board that is not flat: the offsets of its points from their plane.
 
 A plate that was bent, by its fixing, its weight or the damp, is to first order a surface of second
 degree. What is linear in it is a turn of the board, and belongs to the poses.

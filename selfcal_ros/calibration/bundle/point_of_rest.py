@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Where on a common axis the point lies that rests while a camera turns.
+The fixed point of a turning camera: where on the axis of rotation it lies.
 
-Any point of the axis will do, so the images hardly say which. An adjustment that has taken one far
-along it ends in false optima: there the smallest turns about other axes move the camera by much.
+Any point of the axis explains the images nearly as well. An adjustment that began with one far
+along the axis ends in false optima: from there the smallest turns about other axes move the
+camera far.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_names, Lens
 from selfcal_ros.calibration.bundle.priors import Prior, Priors
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -46,6 +47,10 @@ def name_in_rig(camera: str, name: str) -> str:
 class Rig(Lens):
     """
     Values of the rig block.
+
+    It takes the place of a `Lens` in states and priors, which know unknowns by name alone. What
+    belongs to one lens (`camera`, `distortion`, `pixel_directions`) has no meaning here: take
+    that of `lens(k)`.
 
     Attributes
     ----------
@@ -79,6 +84,10 @@ class Rig(Lens):
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, each after that of its camera."""
         return rig_names(self.cameras, self.models)
+
+    def camera(self, width: int = 0, height: int = 0) -> Camera:
+        """Refuse: a rig is not one camera."""
+        raise TypeError('A rig has several cameras; take that of one of its lenses: lens(k).')
 
     def of_lens(self, k: int) -> slice:
         """Where the lens of a camera stands."""

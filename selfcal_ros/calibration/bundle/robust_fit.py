@@ -36,6 +36,8 @@ from selfcal_ros.calibration.bundle.rig_model import RigModel
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import (SHARE_OF_COST, TO_COMPARE, TO_ESTIMATE,
+                                                       TO_GO_ON)
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -46,8 +48,8 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
-#: Where no more than this share of the observations are behind the camera at the start, or as far
-#: from where they should be as only points beside the camera are, it goes on without.
+#: Observations whose points a start has behind the camera, or projects so far off (pixels), are
+#: left out if they are no more than this share: beside the camera a projection goes to infinity.
 FEW_ABSURD, ABSURD_PX = 0.02, 1e5
 #: A start that leaves so many times the supposed noise is a good one, and what it leaves beyond so
 #: many sigmas a gross error.
@@ -156,7 +158,7 @@ class Observations:
             state, blocks, self.xy, self.clock, self.neighbours))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:
-        """Tell whether displacements are those of others, about (pixels, root mean square)."""
+        """Tell whether displacements differ by less than so many pixels, root mean square."""
         if self.shutter is None or other.shutter is None:
             return True
         apart = self.shutter.shift - other.shutter.at(state.line_delay)
@@ -315,8 +317,9 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
             if observations is not offered:
                 bundle = bundle_of(observations, motion, priors, sigma_px)
         # no finer than the choice of outliers needs
-        state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
-                 if k == 0 else bundle.optimise(state, iterations=3, tolerance=1.0))
+        iterations, tolerance = ((12, SHARE_OF_COST * bundle.cost(state)) if k == 0
+                                 else (3, TO_GO_ON))
+        state = bundle.optimise(state, iterations, tolerance)
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):
             break
@@ -372,7 +375,7 @@ def _predicted(bundle: Bundle[SceneState], observations: Observations, state: Sc
 def _optimum(bundle: Bundle[SceneState], state: SceneState, motion: MotionModel) -> SceneState:
     """Optimise, and from the nearest point that may rest, too; return the better one."""
     starts = [state, resting_near(state) if motion.fixed_pivot else None]
-    optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=0.02)
+    optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=TO_ESTIMATE)
                                 for one in starts if one is not None]
     return min(optima, key=bundle.cost)
 
@@ -380,7 +383,8 @@ def _optimum(bundle: Bundle[SceneState], state: SceneState, motion: MotionModel)
 def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) -> RobustFit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
-    state = bundle.optimise(fit.state if state is None else state, iterations=40, tolerance=0.05)
+    state = bundle.optimise(fit.state if state is None else state, iterations=40,
+                            tolerance=TO_COMPARE)
     return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 

@@ -16,10 +16,10 @@ The shutter block: lines that are read one after the other, while the camera mov
 
 The unknown is the line delay, in units in which the whole image is read in so many intervals
 between frames; it is negative where the lowest row is read first. An observation at row v is
-taken at τ = line_delay · (v - middle) / rows from the instant of its view, and there the camera
+taken at τ = line_delay · (v - middle) / rows after the instant of its view. Meanwhile the camera
 has moved on along its path. How it moves near the instant of a view comes from the views around
-it, or from the motion of the images. That is renewed as the path moves, and held while it does:
-so the rows' displacement is a number per observation, and linear in the line delay nearby.
+it, or from the motion of the images. Within an adjustment this motion is held constant, and it
+is renewed after it. So the displacement of an observation is linear in the line delay.
 Of an image that was turned upright after it was read, the lines are its columns.
 """
 

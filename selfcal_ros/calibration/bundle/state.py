@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A point in the space of the unknowns: the values of all blocks."""
+"""The state of an adjustment: the values of all blocks."""
 
 from __future__ import annotations
 

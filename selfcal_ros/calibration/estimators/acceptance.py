@@ -33,8 +33,7 @@ from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict
 from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND, supported_optimum
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.observability import (held_facts, parameter_status,
-                                                   without_held)
+from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, CENTRE_OUTSIDE, FixedPoints, HINT
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
@@ -50,6 +49,7 @@ from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import lengths, rms_length
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 
 #: A start, or an optimum, explains the images when it leaves less than so many times the noise
 #: of the epipolar geometry (which has more freedom, and absorbs distortion).
@@ -60,8 +60,8 @@ MAX_OUTLIERS = 1 / 3
 #: contradicts it all the same, and something else is the cause.
 MAX_BESIDE_ZOOM = 0.2
 #: With its distortion free a lens deviates from its model by less than this fraction of the
-#: image's longer side (kitti, the worst of the recorded sets that are right: 0.0002), or than so
-#: many sigmas of the noise; what deviates by more is not the lens.
+#: image's longer side, or than so many sigmas of the noise. What deviates by more is not the lens.
+#: Of the recorded sets that are right kitti deviates most, by 0.0002.
 FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
@@ -90,7 +90,7 @@ class _Optimum:
     model: ModelDecision
     problem: SelfCalibrationProblem
     path: PathDescription
-    status: dict[str, str]
+    status: dict[str, Status]
     held: dict[str, str]
     rejected: float
     pair_noise_px: float
@@ -102,7 +102,7 @@ class _Optimum:
     @property
     def missing(self) -> tuple[str, ...]:
         """The parameters of K that the images leave open."""
-        return tuple(name for name in MATRIX_PARAMETERS if self.status[name] == 'unobservable')
+        return unobservable_among(self.status, MATRIX_PARAMETERS)
 
     def motion_for(self, names: tuple[str, ...], is_open: bool = False) -> tuple[Finding, ...]:
         """Tell which motion would determine these parameters, of a camera known or open."""

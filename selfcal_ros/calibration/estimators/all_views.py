@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Carry what was found on some of the views and tracks over to all of them, and judge that."""
+"""Extend an estimate from some of the views and tracks to all of them, and assess the result."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.estimators.acceptance import assess
 from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
@@ -58,7 +59,7 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
         return folded
     state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
     state = replace(state, path=state.path.aligned(problem.motion))
-    state = bundle.optimise(state, iterations=15, tolerance=1.0)
+    state = bundle.optimise(state, iterations=15, tolerance=TO_GO_ON)
     whole = with_all_points(replace(state, line_delay=found.line_delay), problem.observations)
     if whole is None:
         return folded

@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Few tracks that bend the estimate until they agree with it.
+Few wrong tracks of high leverage, which pull the estimate until they agree with it.
 
-Short tracks of a thing that moves, all in the same few views, pull these views and the lens their
-way. Then they leave no more than noise, and what stands still near them leaves a little more: no
-test of residuals at this optimum shows the cause (masking and swamping; A. S. Hadi and J. S.
-Simonoff 1993, Procedures for the Identification of Multiple Outliers in Linear Models). It is
-visible from an optimum without them, as that of the most coherent half.
+Short tracks of a moving thing, all in the same few views, pull the poses of these views and the
+lens. Then their residuals are no larger than the noise, and those of still points near them grow
+a little: no test of residuals at this optimum shows the cause (masking and swamping; A. S. Hadi
+and J. S. Simonoff 1993, Procedures for the Identification of Multiple Outliers in Linear Models).
+It is visible from an optimum without them, as that of the most coherent half.
 """
 
 from __future__ import annotations

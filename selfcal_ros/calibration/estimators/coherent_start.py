@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A start that does without half of the tracks, where what moves spoils every other one."""
+"""A start from the more coherent half of the tracks, where moving things spoil other starts."""
 
 from __future__ import annotations
 

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, populati
                                                    Priors, priors_from_facts, with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
 from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -253,7 +254,7 @@ def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], variance_
 
 def _refitted(fit: RobustFit, state: SceneState, priors: Priors) -> RobustFit:
     bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
-    state = bundle.optimise(with_fixed(state, priors), iterations=40, tolerance=0.05)
+    state = bundle.optimise(with_fixed(state, priors), iterations=40, tolerance=TO_COMPARE)
     return replace(fit, bundle=bundle, state=state)
 
 

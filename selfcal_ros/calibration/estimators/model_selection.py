@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        Observations, refit, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
                                                                LensDecision, REGULARISED,
                                                                with_lens)
@@ -184,8 +185,9 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
     """
     Tell whether the images prefer a motion that leaves the plane freely, beyond chance.
 
-    Beside a small turn the usual unevenness of a ground is large, and a plane that nobody stated
-    explains the images by many outliers, more noise and another focal length.
+    Where the camera turns little, the usual unevenness of the ground is large beside it. A plane
+    that nobody stated then explains the images by many outliers, more noise and another focal
+    length.
 
     Parameters
     ----------
@@ -215,7 +217,7 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
     if start is None:
         return False
     bundle = bundle_of(free.observations, fit.motion, fit.bundle.priors, free.bundle.sigma_px)
-    held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=0.05)
+    held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=TO_COMPARE)
     excess = (2 * (bundle.cost(held) - free.cost)
               / robust_covariance_of(free, size).variance_inflation)
     return not is_chance(excess, 3 * len(fit.state.path))

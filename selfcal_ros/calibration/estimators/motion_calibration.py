@@ -133,7 +133,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                                  _attempt_any_focal, _first_focal_px)
     if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
             and widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3]) < LITTLE_TURN_RAD):
-        # a plane far from the truth, from where no way leads to what free motion explains
+        # the descent that began in a plane may have ended far from the optimum of free motion
         free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
         if free and _rejected(free, graph) < _rejected(result, graph) / 2:
             result = free
@@ -143,7 +143,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         if in_the_way is not None:
             return in_the_way
     if (not result and result.kind in MAY_BE_MOVING) or ill_parted:
-        # most of what the starts look at may move, as long tracks ahead of a vehicle do
+        # the longest tracks start the estimate, and those ahead of a vehicle may all be moving
         unexplained = not result and result.kind in UNEXPLAINED
         for motion in motions:
             found = calibrate_coherent_tracks(replace(problem, motion=motion), graph,
@@ -181,30 +181,30 @@ def _simplest_motion(problem: SelfCalibrationProblem, graph: ViewGraph, proposal
 
 
 def _is_final(refusal: NoEstimate) -> bool:
-    """Tell whether a refusal is not for what the kind of motion forbids."""
+    """Tell whether a freer kind of motion would not mend a refusal."""
     return refusal.values.get('motion') != 'general'
 
 
 def _left_px(refusal: NoEstimate) -> float:
-    """Return what the refused estimate leaves unexplained, if it is told."""
+    """Return the residual noise of the refused estimate, pixels; infinite if it is not told."""
     return float(refusal.values.get('left_px', np.inf))
 
 
 def _is_less_open(refusal: NoEstimate, result: Calibration | NoEstimate) -> bool:
-    """Tell whether a camera that the images leave open explains clearly more than a result."""
+    """Tell whether an underdetermined camera has clearly smaller residuals than a result."""
     left_px = result.noise_sigma_px if result else _left_px(result)
     return refusal.kind in OPEN and _left_px(refusal) < CLEARLY_LESS * left_px
 
 
 def _may_be_freer(refusal: NoEstimate, problem: SelfCalibrationProblem) -> bool:
-    """Tell whether a refusal may be for want of freedom: it leaves more than pairs of views do."""
+    """Tell whether a freer motion may mend a refusal: its residuals exceed the pairs' noise."""
     return (not _is_final(refusal)
             or np.inf > _left_px(refusal) > POORLY_EXPLAINED * problem.noise_px)
 
 
 def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
                    ) -> NoEstimate | None:
-    """Name a fact without which nearly all that pairs agree on is explained, if there is one."""
+    """Name a fact without which nearly all inliers of the pairs are explained, if there is one."""
     facts = without_facts(problem.facts)
     if facts is None:
         return None
@@ -217,13 +217,13 @@ def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals:
 
 
 def _is_ill_parted(result: Calibration | NoEstimate, problem: SelfCalibrationProblem) -> bool:
-    """Tell whether what counts as still leaves more than pairs of images, of all tracks, do."""
+    """Tell whether the residuals of still tracks exceed the noise that pairs of images show."""
     return (isinstance(result, Calibration)
             and result.noise_sigma_px > PARTED_NOISE * problem.noise_px)
 
 
 def _rejected(result: Calibration, graph: ViewGraph) -> float:
-    """Share of the observations that contradict, though they do not contradict pairs."""
+    """Share of outliers among the observations that agree with the epipolar geometry."""
     rejected = result.outlier_count - graph.rejected
     return rejected / max(rejected + result.observation_count, 1)
 

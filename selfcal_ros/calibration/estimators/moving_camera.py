@@ -161,12 +161,12 @@ class MovingCamera:
 
     @property
     def has_little_parallax(self) -> bool:
-        """Tell whether hardly any pair shows that the camera moved."""
+        """Tell whether hardly any pair of views shows parallax."""
         return self.has_enough_views and self.graph.parallax < MAX_PARALLAX_OF_BEST
 
     @property
     def may_turn(self) -> bool:
-        """Tell whether most pairs show so little that the camera may only have turned."""
+        """Tell whether most pairs show so little parallax that the camera may only have turned."""
         return self.has_little_parallax or (
             self.has_enough_views and self.graph.usual_parallax < MAX_PARALLAX_OF_MIDDLE)
 
@@ -181,7 +181,7 @@ class MovingCamera:
 
     def path(self, rotations: RotationFit | NoEstimate | None, is_weak: bool,
              ) -> Calibration | NoEstimate:
-        """Calibrate from a path through the scene, held against rotations alone."""
+        """Calibrate from a translating camera; refused where rotations alone fit as well."""
         return self.unless_like_turns(calibrate_from_motion(
             self.graph, self.size, self.facts, self.proposals, MOTION_MODELS[self.motion],
             is_weak=is_weak), rotations)
@@ -206,8 +206,7 @@ class MovingCamera:
         problem, decision = decided
         noise_px = decision.model.fit.bundle.sigma_px
         if decision.is_rotation and self.motion == 'auto':
-            rotating = judge_rotations(rotations, self.size, self.facts, may_zoom=False,
-                                       may_miss=True)
+            rotating = judge_rotations(rotations, may_zoom=False, may_miss=True)
             if rotating:
                 return Turn(rotating, noise_px)
         # a lever that no pair shows has to explain all that rotations leave
@@ -229,7 +228,7 @@ class MovingCamera:
             rotating = calibrate_rotating(self.graph.tracks, self.size, self.facts, not path,
                                           may_miss=True)
         else:
-            rotating = (judge_rotations(rotations, self.size, self.facts, may_miss=True)
+            rotating = (judge_rotations(rotations, may_miss=True)
                         if isinstance(rotations, RotationFit) else rotations)
         hidden = not path and self.graph.parallax < PARALLAX_RATIO
         if hidden and (not rotating or self._leaves_much(rotating)):
@@ -255,7 +254,7 @@ class MovingCamera:
     def unless_like_turns(self, result: Calibration | NoEstimate,
                           rotations: RotationFit | NoEstimate | None,
                           ) -> Calibration | NoEstimate:
-        """Refuse a path beside which rotations leave as little, with quite another camera."""
+        """Refuse a path if rotations fit as well, with a quite different focal length."""
         if (not isinstance(rotations, RotationFit) or isinstance(result, NoEstimate)
                 or rotations.left_px > MAX_NOISE_OF_LIKE_TURN * self.graph.noise_px):
             return result
@@ -341,7 +340,7 @@ def _may_be_weak(path: Calibration | NoEstimate, graph: ViewGraph) -> bool:
 
 
 def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration | NoEstimate:
-    """Choose the path where it leaves clearly less, or settles what the turn leaves open."""
+    """Choose the path if it fits clearly better, or determines what the turn does not."""
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
     clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
     settles = path and turn.leaves_open and not (
@@ -350,7 +349,7 @@ def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration
 
 
 def _leaves_open_as_well(plane: Calibration | NoEstimate, path: Calibration | NoEstimate) -> bool:
-    """Tell whether one plane explains as much as a path does, and leaves the camera open."""
+    """Tell whether one plane fits as well as a path, but does not determine the camera."""
     return (isinstance(path, Calibration) and isinstance(plane, NoEstimate)
             and plane.kind in OF_OPEN_PATH
             and CLEARLY_LESS_NOISE * plane.values.get('left_px', np.inf) < path.noise_sigma_px)
@@ -362,7 +361,7 @@ def _settles(plane: Calibration | NoEstimate) -> bool:
 
 
 def _hides_path(rotating: Calibration, path: Calibration | NoEstimate) -> bool:
-    """Tell whether a path explains what a turn behind a long lens only seems to."""
+    """Tell whether a path explains better what a turn with a long lens seems to explain."""
     if path:
         left_px = path.noise_sigma_px
     elif path.kind in OF_OPEN_PATH:

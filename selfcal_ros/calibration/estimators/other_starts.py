@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A focal length that is known badly may be that of another optimum.
+Other starts where the focal length is so uncertain that there may be a better optimum.
 
-The search for starts ends with the first that explains the images well. Where they say little,
-more than one optimum does, several sigmas apart; so the estimate is begun elsewhere, too.
+The search for starts ends with the first that explains the images well. Where the focal length is
+poorly determined, several optima do, some sigmas apart; so other starts are followed, too.
 """
 
 from __future__ import annotations

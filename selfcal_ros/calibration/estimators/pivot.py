@@ -36,6 +36,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        Observations, refit, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_CHOOSE, TO_GO_ON
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 ModelDecision)
@@ -355,14 +356,14 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
     tried = []
     for state in problem.pivot.starts(coarse.blocks, few.xy, camera):
         state = coarse.refine_points(with_fixed(state, priors))
-        state = coarse.optimise(state, iterations=15, tolerance=1.0)
+        state = coarse.optimise(state, iterations=15, tolerance=TO_GO_ON)
         noise_px = coarse.noise_sigma(state)
         if np.isfinite(noise_px):
             tried.append((noise_px, state))
     if not tried:
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     near_px = PROMISING * min(noise_px for noise_px, _ in tried)
-    promising = [fine.optimise(state, iterations=15, tolerance=0.5)
+    promising = [fine.optimise(state, iterations=15, tolerance=TO_CHOOSE)
                  for noise_px, state in tried if noise_px < near_px]
     tried = [(fine.noise_sigma(state), state) for state in promising]
     least_px = min(noise_px for noise_px, _ in tried)

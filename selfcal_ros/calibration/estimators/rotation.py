@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_f
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEASURE
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            unchecked)
@@ -50,18 +50,20 @@ from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, se
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
-from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX,
-                                                   parameter_status, without_held)
+from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX, parameter_status,
+                                                   without_held)
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.geometry.rotation import swing_twist
+from selfcal_ros.values.parameter_status import unobservable_among
 from selfcal_ros.values.tracks import Tracks
 
 #: The camera only rotated if that leaves no more than so many times the noise of the epipolar
@@ -82,6 +84,8 @@ _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 SAME_COST, SAME_COST_AFAR, AFAR = 0.01, 0.05, 4.0
 #: Views of a stretch that tells whether there is any hope of a rotation.
 STRETCH = 24
+#: A start that leaves less than so many times what homographies leave needs no other.
+EXPLAINED_RATIO = 1.3
 #: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
@@ -98,13 +102,12 @@ def epipolar_noise(tracks: Tracks, frames: Sequence[int] | np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class RotationFit:
+class RotationProblem:
     """
-    The best explanation of views by rotations alone, not yet judged.
+    Views that rotations alone may explain, and what they start from.
 
     Attributes
     ----------
-    lens : LensDecision
     observed : Observations
     frames : ndarray of int, shape (V,)
         Frame of each view.
@@ -112,19 +115,47 @@ class RotationFit:
         Homographies from the reference, which is the first in `order`.
     order : ndarray of int, shape (V,)
     conic : ConicCalibration or NoEstimate
-    sigma_px, noise_px : float
-        Of the homographies, and of the epipolar geometry.
+        The camera by these homographies.
+    sigma_px : float
+        Standard deviation of an image coordinate by them.
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts
 
     """
 
-    lens: LensDecision
     observed: Observations
     frames: np.ndarray
     H: np.ndarray
     order: np.ndarray
-    conic: Any
+    conic: ConicCalibration | NoEstimate
     sigma_px: float
+    size: tuple[int, int]
+    facts: CameraFacts
+
+
+@dataclass(frozen=True)
+class RotationFit:
+    """
+    The best explanation of views by rotations alone, not yet judged.
+
+    Attributes
+    ----------
+    lens : LensDecision
+    problem : RotationProblem
+    noise_px : float
+        Standard deviation of an image coordinate by epipolar geometry, which knows no rotations.
+
+    """
+
+    lens: LensDecision
+    problem: RotationProblem
     noise_px: float
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Frame of each view, shape (V,)."""
+        return self.problem.frames
 
     @property
     def left_px(self) -> float:
@@ -162,7 +193,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     facts = CameraFacts() if facts is None else facts
     found = fit_rotations(tracks, size, facts, varying=facts.focal == 'varying')
     return (found if isinstance(found, NoEstimate)
-            else judge_rotations(found, size, facts, may_zoom, may_miss))
+            else judge_rotations(found, may_zoom, may_miss))
 
 
 def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
@@ -199,23 +230,22 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     if bundle.degrees_of_freedom < MIN_FREEDOM:
         return NoEstimate('too_few_observations', points=len(observed.track), images=len(frames),
                           freedom=bundle.degrees_of_freedom, motion='rotation')
-    lens = _fit(_zooming(frames) if varying else ROTATION, observed, homographies.H, order, conic,
-                sigma_px, size, facts, hopeless_px)
+    problem = RotationProblem(observed, frames, homographies.H, order, conic, sigma_px, size,
+                              facts)
+    lens = _fit(problem, _zooming(frames) if varying else ROTATION, hopeless_px)
     return lens if isinstance(lens, NoEstimate) else RotationFit(
-        lens, observed, frames, homographies.H, order, conic, sigma_px,
-        epipolar_noise(tracks, frames))
+        lens, problem, epipolar_noise(tracks, frames))
 
 
-def judge_rotations(found: RotationFit, size: tuple[int, int], facts: CameraFacts,
-                    may_zoom: bool = True, may_miss: bool = False) -> Calibration | NoEstimate:
+def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = False,
+                    ) -> Calibration | NoEstimate:
     """Tell whether rotations alone explain the views; see `calibrate_rotating`."""
-    result = _assess(found.lens, found, size, facts, may_miss)
-    if may_zoom and facts.focal == 'auto' and not result and result.kind in (
+    result = _assess(found.lens, found, may_miss)
+    if may_zoom and found.problem.facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
-        lens = _fit(_zooming(found.frames), found.observed, found.H, found.order, found.conic,
-                    found.sigma_px, size, facts)
+        lens = _fit(found.problem, _zooming(found.frames))
         if not isinstance(lens, NoEstimate):
-            return _assess(lens, found, size, facts, may_miss) or result
+            return _assess(lens, found, may_miss) or result
     return result
 
 
@@ -224,16 +254,17 @@ def _zooming(frames: np.ndarray) -> MotionModel:
     return replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
 
 
-def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.ndarray,
-         conic: ConicCalibration | NoEstimate, sigma_px: float, size: tuple[int, int],
-         facts: CameraFacts, hopeless_px: float = np.inf) -> LensDecision | NoEstimate:
+def _fit(problem: RotationProblem, motion: MotionModel, hopeless_px: float = np.inf,
+         ) -> LensDecision | NoEstimate:
     """Start with several cameras, and fit the lens from the best."""
+    facts, sigma_px = problem.facts, problem.sigma_px
     priors = priors_from_facts(facts)
-    bundle = bundle_of(observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
+    bundle = bundle_of(problem.observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
     best, least = None, np.inf
-    for K in _starting_cameras(conic, size, facts):
-        state = _start(K, H, order, observed, priors.lens.name)
-        state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
+    for K in _starting_cameras(problem):
+        state = _start(K, problem, priors.lens.name)
+        state = bundle.optimise(with_fixed(state, priors), iterations=30,
+                                tolerance=TO_COMPARE_ROUGHLY)
         cost = bundle.cost(state)
         left_px = bundle.noise_sigma(state)
         # where no rotation is expected, two starts with one optimum speak for the others
@@ -244,20 +275,21 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
         if left_px > hopeless_px:
             return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
                               facts=facts)
-        if agree or left_px < 1.3 * sigma_px:
+        if agree or left_px < EXPLAINED_RATIO * sigma_px:
             break
     assert best is not None     # a range of focal lengths is always supposed
-    return _richest_lens(best, observed, motion, facts, size)
+    return _richest_lens(best, problem, motion)
 
 
-def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel,
-                  facts: CameraFacts, size: tuple[int, int]) -> LensDecision:
+def _richest_lens(state: SceneState, problem: RotationProblem, motion: MotionModel,
+                  ) -> LensDecision:
     """Choose the lens, if none is stated; see `choose_lens`."""
+    observed, facts, size = problem.observed, problem.facts, problem.size
     priors = priors_from_facts(facts)
     bundle = bundle_of(observed, motion, priors, 1.0)
     state = with_fixed(state, priors)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
-    state = bundle.optimise(state, iterations=30, tolerance=0.1)
+    state = bundle.optimise(state, iterations=30, tolerance=TO_COMPARE_ROUGHLY)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
     fit = RobustFit(bundle, state, observed, 0)
     if motion.zoom is not None:
@@ -272,13 +304,13 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
     return choose_lens(fit, facts, size, lambda _: 1.0, determined, ORDINARY_DECENTRING)
 
 
-def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], stated: CameraFacts,
-            may_miss: bool) -> Calibration | NoEstimate:
+def _assess(lens: LensDecision, found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
+    size, stated, observed = found.problem.size, found.problem.facts, found.problem.observed
     # rows that are read in turn leave more than rotations do
-    decided = choose_shutter(_without_gross_errors(lens.fit, found), found.observed, stated, size)
+    decided = choose_shutter(_without_gross_errors(lens.fit, found), observed, stated, size)
     fit, facts, frames = decided.fit, lens.facts, found.frames
-    refusal = _refused(fit, facts, found, size)
+    refusal = _refused(fit, facts, found)
     if refusal is not None:
         return refusal
     bundle, motion = fit.bundle, fit.motion
@@ -289,10 +321,10 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     course = focal_course(fit, state, frames, inner, variance_inflation)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
-    missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     if missing:
-        refusal = (NoEstimate('rotations_leave_open', missing=missing) if found.conic
-                   else found.conic)
+        refusal = (found.problem.conic if isinstance(found.problem.conic, NoEstimate)
+                   else NoEstimate('rotations_leave_open', missing=missing))
         return refusal.saying(status=status, motion='rotation', facts=facts)
     if motion.zoom is None and only_slides(fit, size, float(np.sqrt(inner[0, 0])),
                                            variance_inflation):
@@ -302,7 +334,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     verdict = verdict_on_facts(assessed, size, facts, stated)
     deviates = None if verdict.is_kept else deviates_too_far(assessed.misfit, size,
                                                              bundle.sigma_px, facts)
-    for refused in (most_agree(fit.outliers / len(found.observed.view)), unchecked(bundle),
+    for refused in (most_agree(fit.outliers / len(observed.view)), unchecked(bundle),
                     verdict.refusal(covariance, state.lens['f']),
                     deviates and (verdict.cause or deviates)):
         if refused is not None:
@@ -326,7 +358,8 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
 
 def _without_gross_errors(fit: RobustFit, found: RotationFit) -> RobustFit:
     """Drop gross errors, and estimate the noise of the rest."""
-    observed, state, priors = found.observed, fit.state, fit.bundle.priors
+    every = found.problem.observed
+    observed, state, priors = every, fit.state, fit.bundle.priors
     bundle = bundle_of(observed, fit.motion, priors, max(found.noise_px, LEAST_NOISE_PX))
     for _ in range(3):
         sigma = max(bundle.noise_sigma(state), 1e-6)
@@ -337,17 +370,16 @@ def _without_gross_errors(fit: RobustFit, found: RotationFit) -> RobustFit:
                 break
             observed, state = smaller, replace(state, points=state.points[points])
         bundle = bundle_of(observed, fit.motion, priors, sigma)
-        state = bundle.optimise(state, iterations=30, tolerance=0.01)
+        state = bundle.optimise(state, iterations=30, tolerance=TO_MEASURE)
         if near.all():
             break
     bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))
-    return RobustFit(bundle, state, observed, len(found.observed.view) - len(observed.view))
+    return RobustFit(bundle, state, observed, len(every.view) - len(observed.view))
 
 
-def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit, size: tuple[int, int],
-             ) -> NoEstimate | None:
+def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit) -> NoEstimate | None:
     """Refuse what rotations do not explain, what is no camera, and a lens that zooms."""
-    sigma_px, noise_px = fit.bundle.sigma_px, found.noise_px
+    sigma_px, noise_px, size = fit.bundle.sigma_px, found.noise_px, found.problem.size
     if not sigma_px < ROTATION_RATIO * max(noise_px, LEAST_NOISE_PX):
         return NoEstimate('moved_not_rotated', left_px=sigma_px, noise_px=noise_px, facts=facts)
     focal, skew = fit.state.lens['f'], fit.state.lens['skew']
@@ -361,24 +393,19 @@ def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit, size: tuple
     return None
 
 
-def _starting_cameras(conic: ConicCalibration | NoEstimate, size: tuple[int, int],
-                      facts: CameraFacts) -> Iterator[np.ndarray]:
+def _starting_cameras(problem: RotationProblem) -> Iterator[np.ndarray]:
     """Closed form first, then supposed focal lengths with the principal point in the middle."""
-    if not isinstance(conic, NoEstimate):
-        yield conic.K
-    u, v = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    if not isinstance(problem.conic, NoEstimate):
+        yield problem.conic.K
     for share in _FOCAL_SWEEP:
-        f = share * max(size)
-        yield np.array([[f, facts.skew or 0.0, u], [0, f * (facts.aspect_ratio or 1.0), v],
-                        [0, 0, 1]])
+        yield supposed_matrix(share * max(problem.size), problem.size, problem.facts)
 
 
-def _start(K: np.ndarray, H: np.ndarray, order: np.ndarray, observed: Observations, model: str,
-           ) -> SceneState:
+def _start(K: np.ndarray, problem: RotationProblem, model: str) -> SceneState:
     """Rotations nearest to K^-1 H K, and mean directions of the points."""
-    camera = Camera(K, model=model)
-    U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
-    R = np.concatenate([np.eye(3)[None], U @ Vt])[order]
+    camera, observed = Camera(K, model=model), problem.observed
+    U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ problem.H @ K)
+    R = np.concatenate([np.eye(3)[None], U @ Vt])[problem.order]
     rays = camera.rays(observed.xy)
     world = np.einsum('nji,nj->ni', R[observed.view], rays)
     total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)

@@ -28,6 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_MEASURE
 
 #: The focal length grows by this factor in a step, and by so many steps in all. Perspective falls
 #: with its square: to a hundredth.
@@ -69,13 +70,13 @@ def only_slides(fit: RobustFit, size: tuple[int, int], focal_sigma_px: float,
     # what lenses are like says nothing of one at infinity
     priors = replace(fit.bundle.priors, population=None)
     bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
-    state = bundle.optimise(fit.state, iterations=30, tolerance=0.01)
+    state = bundle.optimise(fit.state, iterations=30, tolerance=TO_MEASURE)
     cost = bundle.cost(state)
     for _ in range(STEPS):
         state = _farther(state, STEP)
         held = bundle_of(fit.observations, fit.motion,
                          priors.updated({'f': Prior(state.lens['f'], 0.0)}), fit.bundle.sigma_px)
-        state = held.optimise(held.refine_points(state), iterations=20, tolerance=0.01)
+        state = held.optimise(held.refine_points(state), iterations=20, tolerance=TO_MEASURE)
         if not 2 * (held.cost(state) - cost) < EXCLUDED * variance_inflation:
             return False
     return True

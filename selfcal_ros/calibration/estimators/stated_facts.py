@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess, SEGMENTS
 from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentring
@@ -46,8 +47,9 @@ CONTRADICTED, DOUBTED = 1e-4, 0.03
 SILENT_SIGMAS = 4.0
 #: What moves by less than this share of the focal length the sigmas can hold, however many.
 HELD_SHARE = 2e-3
-#: A parameter that a contradicted fact holds may be off by the first share of the focal length,
-#: and any other parameter of K by the second, whatever sigmas that misfit has widened.
+#: A contradiction is large where a held parameter is off by more than the first share of the focal
+#: length, or any parameter of K moves by more than the second, whatever its sigma: the misfit has
+#: widened that.
 HELD_FRACTION, MOVED_FRACTION = 1e-3, 5e-3
 #: Errors of facts that are not unusual: of skew and principal point as shares of the focal length.
 PLAUSIBLE = {'aspect': 0.05, 'skew': 0.004, 'cx': 0.02, 'cy': 0.02, 'p1': 1e-3, 'p2': 1e-3}
@@ -311,7 +313,7 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     """
     priors, lens = fit.bundle.priors, fit.state.lens
     bundle = fit.bundle.with_priors(priors.without(tested.unknowns))
-    state = bundle.optimise(fit.state, iterations=40, tolerance=0.05)
+    state = bundle.optimise(fit.state, iterations=40, tolerance=TO_COMPARE)
     freed = replace(fit, bundle=bundle.with_sigma(bundle.noise_rms(state)), state=state)
     places = lens.places(tested.unknowns)
     covariance, ratio = spread_of_unknowns(freed, places, size)

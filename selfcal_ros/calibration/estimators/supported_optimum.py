@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-An optimum with all that its covariance has to hold.
+An optimum with its covariance, widened for every error beyond independent noise.
 
-The chain of corrections that all motions share runs here with two steps more: what was chosen on
-the way to the optimum, and what points before the camera tell where the images tell little.
+The corrections that all motions share run here with two more: for the models that were chosen on
+the way to the optimum, and for the constraint that points lie ahead of the camera.
 """
 
 from __future__ import annotations

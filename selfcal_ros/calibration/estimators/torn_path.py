@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A path in two parts of different scale, whose bridging tracks pass for outliers; and its mending.
+A path in parts of different scale (scale drift): how it is found, and how it is repaired.
 
 A start under a wrong focal length drifts in scale along the path. A robust adjustment may mend
-the parts and not the drift between them: then nearly all tracks that pass a view are set aside.
+the parts and not the drift between them: then nearly all tracks that pass a view are rejected as
+outliers.
 """
 
 from __future__ import annotations

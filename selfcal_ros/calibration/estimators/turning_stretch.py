@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
@@ -144,7 +145,7 @@ def _followed(fit: RobustFit, few: Observations, state: SceneState, noise_px: fl
     held = free.updated({'f': Prior(state.lens['f'], 0.0)})
     for priors, scale in ((held, 5.0), (held, 1.5), (free, 1.5)):
         bundle = bundle_of(few, fit.motion, priors, scale * noise_px)
-        state = bundle.optimise(bundle.refine_points(state), iterations=12, tolerance=1.0)
+        state = bundle.optimise(bundle.refine_points(state), iterations=12, tolerance=TO_GO_ON)
     left_px = bundle.noise_sigma(state)
     return left_px if np.isfinite(left_px) else np.inf, state
 

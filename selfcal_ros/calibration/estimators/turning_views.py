@@ -36,8 +36,8 @@ from selfcal_ros.values.tracks import Tracks
 ON_THE_SPOT = (0.1, 0.01)
 #: So many other views at least can tell.
 LEAST_OTHERS = 6
-#: Both estimates differ by chance up to so many sigmas of their difference, whose variance is
-#: that of one less that of the other, but this share of the larger sigma at least.
+#: Both estimates differ by chance up to so many sigmas of their difference. Its variance is that
+#: of one less that of the other (Hausman 1978), its sigma this share of the larger one at least.
 BY_CHANCE, LEAST_SHARE = 3.0, 0.5
 #: A focal length that others know no better than this share of it tells nothing.
 VAGUE = 0.01

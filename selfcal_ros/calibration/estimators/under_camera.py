@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.projective import lengths, rms_length
@@ -67,7 +68,7 @@ def under_camera(calibration: Calibration, camera: Camera, tracks: Tracks) -> Ca
     lens = Lens.of(camera)
     bundle = bundle_of(kept, GENERAL, all_fixed(lens), sigma_px)
     state = bundle.optimise(replace(state, lens=lens, points=state.points[points]),
-                            iterations=20, tolerance=0.05)
+                            iterations=20, tolerance=TO_COMPARE)
     structure, residuals = scene.points.copy(), bundle.residuals(state)
     structure[place[points]] = state.points
     return replace(calibration, camera=camera, residuals=residuals,

@@ -14,9 +14,9 @@
 """
 A start for the bundle adjustment, in closed form, once a calibration is supposed.
 
-Pairs of views give rotations (E = Kᵀ F K), all rotations together give the axis and the angles,
-and with rotations known every step of the camera follows from rays, its length from the points
-that are known already.
+Pairs of views give rotations (E = Kᵀ F K), and all rotations together give the axis and the
+angles. With rotations known the direction of every step of the camera follows from rays, and its
+length from the points that are known already.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
                                                                   supposed_camera)
@@ -49,9 +50,10 @@ GOOD_ENOUGH = 1.25
 MODULUS_MAX_VIEWS = 8
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
-#: A plane that nobody stated, and whose first start needs a rival, is tried from no more starts
-#: where free motion leaves no more than this (the same unit), at most this share of what the plane
-#: leaves, and leaves every plane by this (radians; starts of vehicles, even bad ones, by half).
+#: A plane that nobody stated, and whose first start needs a rival, is given up for free motion.
+#: The noise that free motion leaves must be below the first (the same unit), and below this share
+#: of what the plane leaves. Its path must leave every plane by the last (radians): those of
+#: vehicles leave it by half of that, even from bad starts.
 STILL_FREE, CLEARLY_LESS, FAR_OUT_RAD = 4.0, 0.75, np.radians(10.0)
 
 
@@ -81,8 +83,8 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
             continue
         chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
-        state = coarse.optimise(chosen, iterations=8, tolerance=1.0)
-        state = fine.optimise(state, iterations=12, tolerance=1.0)
+        state = coarse.optimise(chosen, iterations=8, tolerance=TO_GO_ON)
+        state = fine.optimise(state, iterations=12, tolerance=TO_GO_ON)
         yield state, fine.noise_sigma(state)
 
 

@@ -14,9 +14,9 @@
 """
 Starts for a scene that is one plane: a floor that a vehicle looks down upon, a wall.
 
-There the fundamental matrix is open, but under a supposed calibration every homography between
-two views falls apart into rotation, translation over distance, and the plane's normal, in two
-ways (Ma et al. 2004, theorem 5.19); the normal that all views agree on tells which.
+There the fundamental matrix is open. But under a supposed calibration every homography between
+two views decomposes into rotation, translation over distance, and the plane's normal. It does so
+in two ways (Ma et al. 2004, theorem 5.19); the normal that all views agree on tells which.
 """
 
 from __future__ import annotations

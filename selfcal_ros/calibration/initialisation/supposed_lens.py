@@ -25,7 +25,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients, LensModel
 
@@ -64,15 +64,12 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
     Camera
 
     """
-    centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    aspect = facts.aspect_ratio or 1.0
     model, names = supposed_model(facts, bend)
     half = float(np.hypot(*size)) / 2
     coefficients = np.zeros(len(model.coefficients))
     if is_strong(bend):
         coefficients = bent(model, names, bend, half / focal_px)
-    K = np.array([[focal_px, facts.skew or 0.0, centre[0]], [0, focal_px * aspect, centre[1]],
-                  [0, 0, 1]])
+    K = supposed_matrix(focal_px, size, facts)
     try:
         return Camera(K, coefficients, size[0], size[1], model.name)
     except ArgumentError:

@@ -17,15 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.special import erf
 
 from selfcal_ros.calibration.bundle.inliers import verified
+from selfcal_ros.calibration.initialisation.candidate_pairs import (
+    candidate_pairs, compared_pairs, ComparedPair, components, FEWEST_MATCHES, least_agreeing,
+    MINIMUM_MATCHES, ObservationTable, without_still)
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
 from selfcal_ros.calibration.initialisation.pair_lens import (choose_lens, homography_lens,
                                                               PairLens, Sample)
@@ -36,25 +35,14 @@ from selfcal_ros.values.tracks import Tracks
 
 #: Points of an image that lie on a line but for so much (root mean square) show no geometry.
 LINE_WIDTH_PX = 1.0
-#: Every view is compared with so many successors.
-SUCCESSORS = 3
-#: Pairs with fewer common tracks than this say too little, by themselves.
-MINIMUM_MATCHES = 12
-#: Between views that those leave unlinked: so many, if every one of them agrees. An eighth match
-#: may agree by chance with what seven determine; the adjustment of all views finds that out.
-FEWEST_MATCHES = 8
 #: Points that a view has to keep: three leave four poses open.
 LEAST_OF_VIEW = 4
 #: Noise below this is rounding.
 MIN_NOISE_PX = 1e-3
-#: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
-RANSAC_MATCHES = 200
 #: Largest distance of an inlier from the epipolar geometry, pixels. Where the noise is so large
 #: that this cuts into it, `NOISE_SIGMAS` times the noise instead, but no more than the second.
 EPIPOLAR_THRESHOLD_PX, WIDEST_THRESHOLD_PX = 1.5, 6.0
 NOISE_SIGMAS = 4.0
-#: A pair whose matches nearly all move less shows one image twice.
-STILL_PX = 0.3
 
 
 @dataclass(frozen=True)
@@ -167,67 +155,15 @@ def _with_threshold(lens: PairLens, samples: list[Sample], compared: list[Sample
             break
         threshold_px = wider
         near = [np.abs(lens.distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
-        samples = [(a[k], b[k]) if k.sum() >= _least(len(k)) else old
+        samples = [(a[k], b[k]) if k.sum() >= least_agreeing(len(k)) else old
                    for k, (a, b), old in zip(near, compared, samples)]
         F = lens.refined(samples)
     return F, threshold_px
 
 
-def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frames and the view pairs (n, 2) worth comparing."""
-    frames, view = np.unique(tracks.frame, return_inverse=True)
-    _, point = np.unique(tracks.track, return_inverse=True)
-    seen = coo_matrix((np.ones(len(view)), (point, view))).tocsr()
-    common = np.asarray((seen.T @ seen).todense())
-    a, b = np.triu_indices(len(frames), 1)
-    gap = b - a
-    # neighbours in time, and the end of a loop that meets its beginning
-    wanted = (gap <= SUCCESSORS) | (len(frames) - gap <= SUCCESSORS) | (len(frames) <= 6)
-    pairs = np.column_stack([a, b])
-    enough = wanted & (common[a, b] >= MINIMUM_MATCHES)
-    label = _components(pairs[enough], len(frames))
-    # photographs in no order: what neighbours leave apart, any pair may join
-    across = (common[a, b] >= MINIMUM_MATCHES) & (label[a] != label[b])
-    label = _components(pairs[enough | across], len(frames))
-    enough |= across
-    joining = (common[a, b] >= FEWEST_MATCHES) & (label[a] != label[b])
-    return frames, pairs[enough | joining]
-
-
-def _least(common: int) -> int:
-    """Tell how many of the matches of a pair have to agree."""
-    return min(max(common, FEWEST_MATCHES), MINIMUM_MATCHES)
-
-
-def _components(pairs: ArrayLike, count: int) -> np.ndarray:
-    """Return the number of the connected set (count,) that every view belongs to."""
-    first, second = np.reshape(pairs, (-1, 2)).T
-    links = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
-    component: np.ndarray = connected_components(links, directed=False)[1]
-    return component
-
-
-class _Compared(NamedTuple):
-    """A pair of views, the points that both see, and matches of some of them."""
-
-    a: int
-    b: int
-    both: np.ndarray
-    xy: Sample
-
-
-def _without_still(compared: list[_Compared], views: int) -> list[_Compared]:
-    """Leave out pairs of equal images, which have no epipolar geometry, if all stay linked."""
-    moving = [pair for pair in compared if np.percentile(
-        np.abs(pair.xy[0] - pair.xy[1]).max(axis=1), 95) > STILL_PX]
-    before, after = (_components([(pair.a, pair.b) for pair in pairs], views)
-                     for pairs in (compared, moving))
-    return moving if np.array_equal(before, after) else compared
-
-
-def _fitted(compared: list[_Compared], image_size: tuple[int, int] | None,
+def _fitted(compared: list[ComparedPair], image_size: tuple[int, int] | None,
             rng: np.random.Generator,
-            ) -> tuple[PairLens, np.ndarray, list[_Compared], float]:
+            ) -> tuple[PairLens, np.ndarray, list[ComparedPair], float]:
     """Lens of all pairs, F (n, 3, 3) of those that have one, these pairs, and the limit."""
     # a stream of its own: whoever needs no lens draws as if there was none
     lens = choose_lens([pair.xy for pair in compared], image_size, rng.spawn(1)[0],
@@ -239,8 +175,8 @@ def _fitted(compared: list[_Compared], image_size: tuple[int, int] | None,
     return lens, F, matches, threshold_px
 
 
-def _agreeing(lens: PairLens, compared: list[_Compared], rng: np.random.Generator,
-              ) -> tuple[list[Sample], list[_Compared]]:
+def _agreeing(lens: PairLens, compared: list[ComparedPair], rng: np.random.Generator,
+              ) -> tuple[list[Sample], list[ComparedPair]]:
     """Inliers of the pairs that have any, and these pairs."""
     samples, matches = [], []
     found = lens.inliers([pair.xy for pair in compared], rng, EPIPOLAR_THRESHOLD_PX)
@@ -249,6 +185,103 @@ def _agreeing(lens: PairLens, compared: list[_Compared], rng: np.random.Generato
             samples.append((pair.xy[0][inlier], pair.xy[1][inlier]))
             matches.append(pair)
     return samples, matches
+
+
+@dataclass(frozen=True)
+class _CheckedPairs:
+    """
+    Pairs of views held against all their matches.
+
+    Attributes
+    ----------
+    pairs : list of PairGeometry
+        Those of which enough matches agree.
+    noise_px : ndarray, shape (n,)
+        Robust standard deviation of the epipolar distances of each.
+    inlier_count : ndarray of int, shape (n,)
+    used, votes : ndarray, shape (N,)
+        Of every observation: the pairs that it takes part in, and those with which it agrees.
+
+    """
+
+    pairs: list[PairGeometry]
+    noise_px: np.ndarray
+    inlier_count: np.ndarray
+    used: np.ndarray
+    votes: np.ndarray
+
+    @property
+    def agree(self) -> np.ndarray:
+        """Mark the observations that agree with half of their pairs at least, shape (N,)."""
+        agree: np.ndarray = self.votes >= 0.5 * np.maximum(self.used, 1)
+        return agree
+
+    def usual_noise_px(self) -> float:
+        """Return the median of the pairs' noise, each counted by its inliers."""
+        order = np.argsort(self.noise_px)
+        share = np.cumsum(self.inlier_count[order]) / self.inlier_count.sum()
+        return float(self.noise_px[order][np.searchsorted(share, 0.5)])
+
+
+def _checked_pairs(tracks: Tracks, rows: ObservationTable, lens: PairLens,
+                   matches: list[ComparedPair], all_F: np.ndarray, threshold_px: float,
+                   ) -> _CheckedPairs:
+    """Hold pairs against all their matches, not only those that decided on their F (n, 3, 3)."""
+    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
+    pairs, noise_px, counts = [], [], []
+    for (a, b, both, _), F in zip(matches, all_F):
+        rows_a, rows_b = rows.row[a, both], rows.row[b, both]
+        xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
+        distance = lens.distance(F, xy_a, xy_b)
+        inlier = np.abs(distance) < threshold_px
+        count = int(inlier.sum())
+        if count < least_agreeing(len(both)):
+            continue
+        for seen in (rows_a, rows_b):
+            used[seen] += 1
+            votes[seen] += inlier
+        # F has seven degrees of freedom
+        noise_px.append(robust_sigma(distance[inlier]) * np.sqrt(count / max(count - 7, 1)))
+        counts.append(count)
+        pairs.append(PairGeometry(a, b, F, both[inlier], xy_a[inlier], xy_b[inlier]))
+    return _CheckedPairs(pairs, np.array(noise_px), np.array(counts), used, votes)
+
+
+def _largest_connected(tracks: Tracks, rows: ObservationTable, pairs: list[PairGeometry],
+                       agree: np.ndarray) -> tuple[np.ndarray, Tracks] | None:
+    """
+    Find the largest set of views that pairs connect and that each keep enough observations.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    rows : ObservationTable
+    pairs : list of PairGeometry
+    agree : ndarray of bool, shape (N,)
+        Observations that agree with their pairs.
+
+    Returns
+    -------
+    ndarray of bool, shape (V,)
+        Views of the set. None where no pair is left.
+    Tracks
+        What these views keep.
+
+    """
+    count = len(rows.frames)
+    shown = np.ones(count, bool)
+    while True:
+        pairs = [p for p in pairs if shown[p.first] and shown[p.second]]
+        if not pairs:
+            return None
+        label = components([(p.first, p.second) for p in pairs], count)
+        largest = label == np.argmax(np.bincount(label))
+        keep = agree & largest[rows.view]
+        kept = tracks.select(keep & verified(rows.point, keep)).with_at_least(2)
+        shown = np.bincount(np.searchsorted(rows.frames, kept.frame),
+                            minlength=count) >= LEAST_OF_VIEW
+        if shown[largest].all():
+            return largest, kept
 
 
 def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = False,
@@ -274,66 +307,27 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = 
     width_px = float(np.median(tracks.narrowest_px()))
     if width_px < LINE_WIDTH_PX:
         return NoEstimate('points_on_a_line', width_px=width_px)
-    frames, candidates = _candidate_pairs(tracks)
-    row = np.full((len(frames), len(np.unique(tracks.track))), -1, dtype=np.int64)
-    _, point = np.unique(tracks.track, return_inverse=True)
-    view = np.searchsorted(frames, tracks.frame)
-    row[view, point] = np.arange(len(tracks))
-    compared, tested = [], np.zeros(len(tracks), bool)
-    for a, b in candidates:
-        both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
-        tested[row[[a, b]][:, both]] |= len(both) >= MINIMUM_MATCHES
-        few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
-        compared.append(_Compared(int(a), int(b), both, (tracks.xy[row[a, both[few]]],
-                                                         tracks.xy[row[b, both[few]]])))
+    rows = ObservationTable.of(tracks)
+    frames = rows.frames
+    compared, tested = compared_pairs(tracks, rows, candidate_pairs(rows))
     size = None if straight else tracks.image_size
-    lens, all_F, matches, threshold_px = _fitted(_without_still(compared, len(frames)), size, rng)
-    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
-    pairs, spreads = [], []
-    for (a, b, both, _), F in zip(matches, all_F):
-        rows_a, rows_b = row[a, both], row[b, both]
-        xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        distance = lens.distance(F, xy_a, xy_b)
-        inlier = np.abs(distance) < threshold_px
-        count = int(inlier.sum())
-        if count < _least(len(both)):
-            continue
-        for rows in (rows_a, rows_b):
-            used[rows] += 1
-            votes[rows] += inlier
-        spreads.append((robust_sigma(distance[inlier])
-                        * np.sqrt(count / max(count - 7, 1)), count))
-        pairs.append(PairGeometry(a, b, F, both[inlier], xy_a[inlier], xy_b[inlier]))
-    none = NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
-                      least_doubtful=MINIMUM_MATCHES)
-    if not pairs:
-        return none
-    keep = votes >= 0.5 * np.maximum(used, 1)
-    # the largest connected set of views, of those that keep enough
-    voted, shown = keep, np.ones(len(frames), bool)
-    while True:
-        pairs = [p for p in pairs if shown[p.first] and shown[p.second]]
-        if not pairs:
-            return none
-        label = _components([(p.first, p.second) for p in pairs], len(frames))
-        largest = label == np.argmax(np.bincount(label))
-        keep = voted & largest[view]
-        kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
-        shown = np.bincount(np.searchsorted(frames, kept.frame),
-                            minlength=len(frames)) >= LEAST_OF_VIEW
-        if shown[largest].all():
-            break
+    lens, F, matches, threshold_px = _fitted(without_still(compared, len(frames)), size, rng)
+    checked = _checked_pairs(tracks, rows, lens, matches, F, threshold_px)
+    connected = _largest_connected(tracks, rows, checked.pairs, checked.agree)
+    if connected is None:
+        return NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
+                          least_doubtful=MINIMUM_MATCHES)
+    largest, kept = connected
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
-             for p in pairs if largest[p.first] and largest[p.second]]
-    rejected = int(np.sum((tested | (used > 0)) & ~voted))
-    noise, weight = np.array(spreads).T
-    order = np.argsort(noise)
-    share = np.cumsum(weight[order]) / weight.sum()
-    median = float(noise[order][np.searchsorted(share, 0.5)])
-    inliers = [(p.xy_first, p.xy_second) for p in pairs]
-    turning, left_px = homography_lens(lens, inliers, max(median, MIN_NOISE_PX), size)
-    return ViewGraph(frames[largest], kept, pairs, median, rejected,
-                     float(left_px.max()) / max(median, MIN_NOISE_PX),
-                     float(np.median(left_px)) / max(median, MIN_NOISE_PX), turning.division,
-                     turning.sigma, lens.model, tracks)
+             for p in checked.pairs if largest[p.first] and largest[p.second]]
+    rejected = int(np.sum((tested | (checked.used > 0)) & ~checked.agree))
+    noise_px = checked.usual_noise_px()
+    floor_px = max(noise_px, MIN_NOISE_PX)
+    turning, left_px = homography_lens(lens, [(p.xy_first, p.xy_second) for p in pairs], floor_px,
+                                       size)
+    return ViewGraph(frames[largest], kept, pairs, noise_px, rejected,
+                     parallax=float(left_px.max()) / floor_px,
+                     usual_parallax=float(np.median(left_px)) / floor_px,
+                     division=turning.division, division_sigma=turning.sigma, lens=lens.model,
+                     given=tracks)

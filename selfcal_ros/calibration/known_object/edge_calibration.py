@@ -46,7 +46,8 @@ from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
-from selfcal_ros.version import __version__
+from selfcal_ros.values.parameter_status import Status, unobservable_among
+from selfcal_ros.version import SOFTWARE
 
 MOTION = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
@@ -64,6 +65,9 @@ FOCAL_FRACTIONS = (0.2, 30.0)
 SEGMENTS = 6
 #: Two halves of the sequence may differ in focal length by so many sigmas, or by this fraction.
 ZOOM_SIGMAS, ZOOM_FRACTION = 5.0, 0.02
+#: Where descents stop, in units of sigma²: of rounds that seek the noise and outliers, of parts of
+#: the sequence, which are compared, and of the estimate.
+_OF_ROUNDS, _OF_PARTS, _FINAL = 1e-2, 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -169,12 +173,11 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
 
     """
     facts = CameraFacts(skew=0.0) if facts is None else facts
-    software = f'selfcal_ros {__version__}'
     result = _calibrate(views.select(np.ones(len(views), bool)), start, facts)
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=views.frames, facts=facts, motion=MOTION,
-                                software=software)
-    return replace(result, software=software)
+                                software=SOFTWARE)
+    return replace(result, software=SOFTWARE)
 
 
 def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibration | NoEstimate:
@@ -199,7 +202,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     used, bundle, state, chosen, covariance, sigma_inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
-    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     low, high = FOCAL_FRACTIONS[0] * max(size), FOCAL_FRACTIONS[1] * max(size)
     if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
@@ -275,12 +278,12 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     bundle = views.bundle(priors.under(held), 1.0)
     if bundle.degrees_of_freedom < 1:
         return none
-    state = bundle.optimise(state, tolerance=1e-2)
+    state = bundle.optimise(state, tolerance=_OF_ROUNDS)
     for _ in range(4):
         bundle = views.bundle(priors, bundle.noise_sigma(state))
         if not np.isfinite(bundle.sigma_px):
             return none
-        state = bundle.optimise(state, tolerance=1e-2)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         distance = np.abs(bundle.residuals(state)).ravel()
         sigma = bundle.noise_sigma(state)
         good = distance < OUTLIER_SIGMAS * sigma
@@ -295,11 +298,12 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
         if bundle.degrees_of_freedom < 1:
             return none
     bundle = views.bundle(priors, bundle.noise_rms(state))
-    return views, bundle, bundle.optimise(state, tolerance=1e-6)
+    return views, bundle, bundle.optimise(state, tolerance=_FINAL)
 
 
 def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-           size: tuple[int, int]) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, str]]:
+           size: tuple[int, int],
+           ) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, Status]]:
     """Return covariance, how much wider it is than for independent errors, findings and status."""
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)
@@ -330,7 +334,7 @@ def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
         rest = views.select(keep)
         part = rest.bundle(bundle.priors, bundle.sigma_px)
         own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
-        moved = part.optimise(own, iterations=20, tolerance=1e-4)
+        moved = part.optimise(own, iterations=20, tolerance=_OF_PARTS)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved)[lens, lens])
     return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
@@ -351,7 +355,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, sigma_inflation: float) -> NoE
         own = replace(state, path=state.path.of_views(np.isin(frames, part.frames)))
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
-        own = bundle.optimise(own, iterations=30, tolerance=1e-4)
+        own = bundle.optimise(own, iterations=30, tolerance=_OF_PARTS)
         variance = bundle.ideal_covariance(own)[0, 0]
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import logging
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,8 +49,9 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
 MOTION = 'known-object'
@@ -57,6 +59,8 @@ MOTION = 'known-object'
 AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
 #: Points seen so far from the axis, radians, may belong to a fisheye: 'auto' tries one.
 WIDE_ANGLE = np.deg2rad(40.0)
+#: The same where a perspective lens explains less than this share of the points.
+MOSTLY_FITTED = 0.9
 #: It is one where the sum of squared residuals, in units of the variance, falls by so much; each
 #: residual counts as an outlier's at most.
 FAMILY_MARGIN = 25.0
@@ -67,6 +71,9 @@ OUTLIER_SIGMAS = 4.0
 MISFIT_FRACTION = 0.006
 #: Starts are compared on so many points a view.
 START_POINTS = 40
+#: Where descents stop, in units of sigma²: of starts, of rounds that seek the noise and outliers,
+#: and of the estimate. With an object they are so cheap that the last goes on to rounding.
+_OF_STARTS, _OF_ROUNDS, _FINAL = 1e-2, 0.1, 1e-7
 
 
 @on_one_thread
@@ -121,7 +128,6 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts = CameraFacts() if facts is None else facts
     width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
     size = tracks.image_size or (int(width), int(height))
-    software = f'selfcal_ros {__version__}'
     result: Calibration | NoEstimate
     try:
         result = _calibrate(tracks, target, size, facts, flatness)
@@ -130,8 +136,8 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
         result = NoEstimate('equations_singular')
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=tracks.frames, facts=facts, motion=MOTION,
-                                software=software)
-    return replace(result, software=software)
+                                software=SOFTWARE)
+    return replace(result, software=SOFTWARE)
 
 
 def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
@@ -161,7 +167,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if not bundle.sigma_px <= limit:
         return NoEstimate('object_misfit', left_px=float(bundle.sigma_px), limit_px=limit)
     clusters, covariance, status = judgement
-    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
+    missing = unobservable_among(status, MATRIX_PARAMETERS)
     if missing:
         return _unobservable(missing, used).saying(status=status)
     residuals = bundle.residuals(state)
@@ -190,26 +196,68 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         residuals=residuals)
 
 
-#: How errors are shared, the covariance, and the status of every parameter.
-_Judgement = tuple[ClusterCovariance, np.ndarray, dict[str, str]]
-#: Views, bundle, state, facts with their distortion model, and judgement.
-_Fitted = tuple[ObjectViews, Bundle[ObjectState], ObjectState, CameraFacts, _Judgement]
+class _Judgement(NamedTuple):
+    """
+    What an optimum says of the camera.
+
+    Attributes
+    ----------
+    clusters : ClusterCovariance
+        How far errors are shared.
+    covariance : ndarray, shape (k, k)
+        Of the camera's parameters.
+    status : dict of str to str
+        Of every parameter.
+
+    """
+
+    clusters: ClusterCovariance
+    covariance: np.ndarray
+    status: dict[str, Status]
+
+    @property
+    def is_complete(self) -> bool:
+        """Tell whether every parameter is determined."""
+        return 'unobservable' not in self.status.values()
+
+
+class _Fitted(NamedTuple):
+    """
+    An optimum, and what it says.
+
+    Attributes
+    ----------
+    views : ObjectViews
+        Without outliers.
+    bundle : Bundle
+    state : ObjectState
+    facts : CameraFacts
+        With the distortion model that was fitted.
+    judgement : _Judgement
+
+    """
+
+    views: ObjectViews
+    bundle: Bundle[ObjectState]
+    state: ObjectState
+    facts: CameraFacts
+    judgement: _Judgement
 
 
 def _bent_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, sigma: float,
               size: tuple[int, int]) -> _Fitted | None:
     """Return the fit with a board that may bend; None where the images do not determine it."""
-    used, _, state, chosen, _ = fit
-    free = may_bend(views.select(np.isin(views.frames, used.frames)[views.view]), points, sigma)
-    bent = None if free is None else _robust_fit(free, state, chosen)
+    seen = np.isin(views.frames, fit.views.frames)[views.view]
+    free = may_bend(views.select(seen), points, sigma)
+    bent = None if free is None else _robust_fit(free, fit.state, fit.facts)
     if bent is None or isinstance(bent, NoEstimate):
         return None
-    judgement = _judge(*bent, chosen, size)
-    return None if 'unobservable' in judgement[2].values() else (*bent, chosen, judgement)
+    judgement = _judge(*bent, fit.facts, size)
+    return _Fitted(*bent, fit.facts, judgement) if judgement.is_complete else None
 
 
 def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> _Fitted | NoEstimate:
-    """Return views, bundle, state, facts with their distortion model and judgement."""
+    """Fit the lens of the family that explains the views best, if none is stated."""
     found = _fit_family(views, size, facts)
     if facts.distortion != 'auto' or not _may_be_wide(views, found):
         return found
@@ -218,7 +266,7 @@ def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> _Fitt
         return found
     if isinstance(found, NoEstimate):
         return other
-    sigma = min(found[1].sigma_px, other[1].sigma_px)
+    sigma = min(found.bundle.sigma_px, other.bundle.sigma_px)
     gain = _misfit(views, found, sigma) - _misfit(views, other, sigma)
     return other if gain > FAMILY_MARGIN else found
 
@@ -227,17 +275,16 @@ def _may_be_wide(views: ObjectViews, fit: _Fitted | NoEstimate) -> bool:
     """Tell whether points lie far from the axis of a fitted perspective, or do not fit it."""
     if isinstance(fit, NoEstimate):
         return True
-    used, state = fit[0], fit[2]
-    angle = np.arccos(np.clip(state.camera().rays(used.xy)[:, 2], -1, 1))
-    return len(used.view) < 0.9 * len(views.view) or not (angle < WIDE_ANGLE).all()
+    angle = np.arccos(np.clip(fit.state.camera().rays(fit.views.xy)[:, 2], -1, 1))
+    return (len(fit.views.view) < MOSTLY_FITTED * len(views.view)
+            or not (angle < WIDE_ANGLE).all())
 
 
 def _misfit(views: ObjectViews, fit: _Fitted, sigma_px: float) -> float:
     """Sum of squared residuals over the variance, an outlier's share for what was left out."""
-    used, bundle, state = fit[:3]
-    square = np.sum(bundle.residuals(state)**2, axis=1) / sigma_px**2
-    most = OUTLIER_SIGMAS**2
-    return float(np.minimum(square, most).sum() + most * (len(views.view) - len(used.view)))
+    square = np.sum(fit.bundle.residuals(fit.state)**2, axis=1) / sigma_px**2
+    most, left_out = OUTLIER_SIGMAS**2, len(views.view) - len(fit.views.view)
+    return float(np.minimum(square, most).sum() + most * left_out)
 
 
 def _fit_family(views: ObjectViews, size: tuple[int, int],
@@ -260,8 +307,8 @@ def _fit_family(views: ObjectViews, size: tuple[int, int],
             continue
         used, bundle, fitted = fit
         judgement = _judge(used, bundle, fitted, chosen, size)
-        found = (used, bundle, fitted, chosen, judgement)
-        if 'unobservable' not in judgement[2].values():
+        found = _Fitted(used, bundle, fitted, chosen, judgement)
+        if judgement.is_complete:
             break
     return found
 
@@ -284,7 +331,7 @@ def _start(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> Obj
         starts = (fisheye_state(camera, few.linear, few.view, few.points, few.xy)
                   for camera in fisheye_cameras(size, facts, priors.lens))
     for number, state in enumerate(starts):
-        state = bundle.optimise(with_fixed(state, priors), iterations=25, tolerance=1e-2)
+        state = bundle.optimise(with_fixed(state, priors), iterations=25, tolerance=_OF_STARTS)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -305,7 +352,7 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
         if not np.isfinite(sigma):
             return NoEstimate('no_fit_to_points')
         bundle = views.bundle(priors, sigma)
-        state = bundle.optimise(state, tolerance=0.1)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         before, sigma = sigma, bundle.noise_sigma(state)
         if abs(sigma - before) < 0.05 * before:
             break
@@ -320,10 +367,10 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
         kept = np.isin(views.frames, rest.frames)
         state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
-        state = bundle.optimise(state, tolerance=0.1)
+        state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         sigma = bundle.noise_sigma(state)
     bundle = views.bundle(priors, bundle.noise_rms(state))
-    state = bundle.optimise(state, tolerance=1e-7)
+    state = bundle.optimise(state, tolerance=_FINAL)
     return views, bundle, state
 
 
@@ -337,11 +384,12 @@ def _judge(views: ObjectViews, bundle: Bundle[ObjectState], state: ObjectState, 
     of_lens = clusters.covariance[bundle.unknowns.lens, bundle.unknowns.lens]
     covariance = without_held(to_parameters(of_lens, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
-    return clusters, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
+    return _Judgement(clusters, covariance,
+                      {**status, **_open_without_lens(bundle, state, facts, size)})
 
 
 def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-                       size: tuple[int, int]) -> dict[str, str]:
+                       size: tuple[int, int]) -> dict[str, Status]:
     """
     Return the parameters that the same views leave open where the lens does not distort.
 

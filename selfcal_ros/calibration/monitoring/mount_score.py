@@ -29,6 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.tolerances import TO_MEASURE
 from selfcal_ros.calibration.initialisation.view_graph import MIN_NOISE_PX, ViewGraph
 from selfcal_ros.calibration.monitoring.window_fit import WindowFit
 from selfcal_ros.calibration.mount import Mount, MountFacts, TURN as TURNS
@@ -133,7 +134,8 @@ def _with_lens(window: WindowFit, camera: Camera) -> RobustFit:
     """Return the window's adjustment with the lens in force, and not with its own."""
     lens = Lens.of(camera)
     bundle = window.fit.bundle.with_priors(all_fixed(lens))
-    state = bundle.optimise(replace(window.fit.state, lens=lens), iterations=15, tolerance=0.01)
+    state = bundle.optimise(replace(window.fit.state, lens=lens), iterations=15,
+                            tolerance=TO_MEASURE)
     noise = max(bundle.noise_rms(state), MIN_NOISE_PX)
     return replace(window.fit, bundle=bundle.with_sigma(noise), state=state)
 

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import SHARE_OF_COST, TO_CHOOSE, TO_MEASURE
 from selfcal_ros.calibration.initialisation.initial_structure import planar_start
 from selfcal_ros.calibration.initialisation.view_graph import MIN_NOISE_PX, ViewGraph
 from selfcal_ros.calibration.moving.track_judgement import judged
@@ -91,7 +92,7 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera) -> 
     state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
-    state = bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
+    state = bundle.optimise(state, iterations=12, tolerance=SHARE_OF_COST * bundle.cost(state))
     observations = replace(observations, clock=clock_of(graph, camera)).read_in_rows()
     found = _still(observations, state, _any_camera(lens), sigma_px)
     if found is None:
@@ -99,7 +100,7 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera) -> 
     kept, state, still, sigma_px = found
     for _ in range(RENEWALS):
         bundle = bundle_of(kept, GENERAL, _any_camera(lens), sigma_px)
-        state = bundle.optimise(state, iterations=15, tolerance=0.01)
+        state = bundle.optimise(state, iterations=15, tolerance=TO_MEASURE)
         renewed = kept.displaced(state)
         if renewed.is_displaced_like(kept, state, 0.1 * sigma_px):
             break
@@ -135,7 +136,7 @@ def _still(observations: Observations, state: SceneState, priors: Priors, sigma_
     kept, still = observations.displaced(state), np.ones(len(observations.track), bool)
     for _ in range(ROUNDS):
         bundle = bundle_of(kept, GENERAL, priors, sigma_px)
-        state = bundle.optimise(state, iterations=12, tolerance=0.5)
+        state = bundle.optimise(state, iterations=12, tolerance=TO_CHOOSE)
         sigma_px = max(bundle.noise_sigma(state), MIN_NOISE_PX)
         placed = with_all_points(state, observations)
         if placed is None or not np.isfinite(sigma_px):

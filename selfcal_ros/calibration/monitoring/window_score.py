@@ -14,11 +14,11 @@
 """
 What a few successive keyframes say about the internal parameters of a camera in force.
 
-Poses and points are adjusted, without what moves by itself (`window_fit`); the score, the
-derivative of the likelihood by the internal parameters once poses, points and the delay of the
-rows are eliminated, then tells how far the camera is from that which the images show. It costs a
-fraction of an estimate, and needs none of what makes estimates fail: no start for the camera, no
-choice of models.
+Poses and points are adjusted, without what moves by itself (`window_fit`). The score is the
+derivative of the likelihood by the internal parameters, once poses, points and the delay of the
+rows are eliminated. It tells how far the camera in force is from that which the images show. It
+costs a fraction of an estimate, and needs neither a start for the camera nor a choice of models,
+which make estimates fail.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ _TAIL, _ODOMETRY_TAIL = 3.0, 1.0
 
 class Adjustment:
     """
-    Images, poses of the body and facts, and what they say together.
+    The joint adjustment of images, poses of the body and facts.
 
     Parameters
     ----------
@@ -62,18 +62,12 @@ class Adjustment:
     rows : ndarray of int, shape (V,)
         Of these images in `track`.
     facts : MountFacts
-    open_places : ndarray, shape (n, 3), optional
-        Directions in the body along which the motion does not show the place of the camera. It
-        stays near the body's origin there, so that it does not follow noise.
-    may_lag : bool
-        The places of the poses may be late beside their turns.
 
     """
 
     def __init__(self, camera: CameraPoses, track: BodyTrack, rows: np.ndarray,
-                 facts: MountFacts, open_places: np.ndarray | None = None,
-                 may_lag: bool = False):
-        self._open = np.zeros((0, 3)) if open_places is None else open_places
+                 facts: MountFacts):
+        self._open = np.zeros((0, 3))
         self._camera, self._track, self._rows = camera, track, rows
         self._stated = facts.stated
         # of what a pose in a plane does not measure there is no misfit
@@ -89,7 +83,7 @@ class Adjustment:
         if track.odometry:
             free[WORLD_TURN], free[WORLD_PLACE] = False, False
         free[OFFSET] = track.timed
-        free[LAG] = may_lag
+        free[LAG] = False
         free[METRE] = 'scale' in self._stated and self._stated['scale'][1] > 0
         self._free = free
         self._vague = np.zeros(COUNT + k)
@@ -107,14 +101,31 @@ class Adjustment:
         """Poses of the body, as they are interpolated here."""
         return self._track
 
-    def near_by(self) -> Adjustment:
-        """Return the same of a camera that stays near the body's origin, whatever is shown."""
+    def held_along(self, directions: np.ndarray) -> Adjustment:
+        """
+        Return the same of a camera that stays near the body's origin along directions (n, 3).
+
+        Where the motion does not show the place of the camera, it would follow noise.
+        """
         other = copy(self)
-        other._open = np.eye(3)
+        other._open = directions
+        return other
+
+    def anchored(self, offset: float) -> Adjustment:
+        """Return the same with poses interpolated at an offset of the clocks, seconds."""
+        other = copy(self)
+        other._track = self._track.anchored(offset)
+        return other
+
+    def with_lag(self) -> Adjustment:
+        """Return the same where the places of the poses may be late beside their turns."""
+        other = copy(self)
+        other._free = self._free.copy()
+        other._free[LAG] = True
         return other
 
     def predict(self, state: State) -> Prediction:
-        """Hold a state against the poses."""
+        """Return the residuals of a state against the poses, and their derivatives."""
         body = self._track.at(state.offset, self._rows)
         return predict(state, self._camera, body, self._track.odometry)
 
@@ -178,7 +189,7 @@ class Adjustment:
 
     def _of_poses(self, state: State, prediction: Prediction, errors: PoseErrors,
                   weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same of poses and images alone."""
+        """Return information and minus the gradient without the facts."""
         counted = weights > 0
         roots = errors.whitening()[counted] * np.sqrt(weights[counted])[:, None, None]
         S = errors.independent(roots @ prediction.slopes[counted])
@@ -232,6 +243,9 @@ class Adjustment:
                 keep: np.ndarray | None = None) -> tuple[State, float]:
         """
         Refine a state while the variances are held.
+
+        Levenberg-Marquardt in a loop of its own, which ends at a share of the cost:
+        `levenberg_marquardt.minimise` ends at a fixed amount, in units of sigma².
 
         Parameters
         ----------

@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Poses of a camera that nobody says the errors of.
+Errors of the camera's poses, where the calibration gives no covariance for them.
 
-They are estimated among those of the body's poses. A camera errs in its own frame: along its
-optical axis more than across it, and its turns swing the arm to the body.
+They are estimated together with those of the body's poses. The errors of a camera belong to its
+own frame: they are larger along the optical axis, and errors of its rotation move the body at the
+other end of the lever.
 """
 
 from __future__ import annotations

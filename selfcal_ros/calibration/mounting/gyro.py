@@ -43,6 +43,7 @@ from selfcal_ros.geometry.rotation import (left_jacobian, nearest_rotation, rota
                                            rotation_vector)
 from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 from selfcal_ros.values.angular_rates import AngularRates
+from selfcal_ros.values.parameter_status import Status
 
 #: Offsets of the clocks that are tried, seconds.
 OFFSETS_S = np.arange(-0.5, 0.501, 0.01)
@@ -285,8 +286,8 @@ def _with_gyro(calibration: Calibration, poses: CameraPoses, frame: str,
     covariance = np.zeros((len(NAMES),) * 2)
     at = [NAMES.index(name) for name in ('roll', 'pitch', 'yaw', 'time_offset')]
     covariance[np.ix_(at, at)] = fit.covariance[np.ix_([0, 1, 2, 6], [0, 1, 2, 6])]
-    status = {name: 'estimated' if place in at else 'unobservable'
-              for place, name in enumerate(NAMES)}
+    status: dict[str, Status] = {name: 'estimated' if place in at else 'unobservable'
+                                 for place, name in enumerate(NAMES)}
     missing = dict.fromkeys(('x', 'y', 'z', 'scale'), Finding('gyro_tells_no_place').advice)
     if not timed:
         status['time_offset'] = 'unobservable'

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What a list of poses that contradicts the images was meant to be.
+Common mistakes in lists of poses: which of them, once undone, lets the images agree.
 
 The usual mistakes are few: poses are inverted, one image late or early, w of the quaternion stands
 in the wrong column, or an axis of the positions is mirrored or swapped. Each is undone, and the
-closed forms tell whether the images agree then. They do, or they do by far not.
+closed forms tell whether the images agree then. The answer is clear either way.
 """
 
 from __future__ import annotations

@@ -14,9 +14,13 @@
 """
 What a mount predicts of the body's poses, and the derivatives.
 
-With the camera at (R, c) in the world of its images, a mount (M, t), a scale s and the turn G and
-place g of that world in the robot's, the body is turned by G R Mᵀ and placed at
-(s G c + g - G R Mᵀ t) / κ, κ true metres in a metre of the poses. The images' own deviations w
+The camera is at (R, c) in the world of its images, whose scale is s, and which has the turn G and
+the place g in the world of the robot. With the mount (M, t) the body is turned by G R Mᵀ and
+placed at
+
+    (s G c + g - G R Mᵀ t) / κ,
+
+with κ true metres in a metre of the poses. The images' own deviations w
 are unknowns like the others, so that errors of both sides count where they arise.
 """
 

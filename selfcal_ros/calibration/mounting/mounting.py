@@ -32,7 +32,8 @@ from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, o
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
                                                            WRONG)
 from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
-from selfcal_ros.calibration.mounting.model import COUNT, LAG, METRE, OFFSET, SCALE, T, TURN
+from selfcal_ros.calibration.mounting.model import (COUNT, LAG, METRE, OFFSET, SCALE, State, T,
+                                                    TURN)
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
     without_sense)
@@ -52,6 +53,8 @@ _LOGGER = logging.getLogger(__name__)
 LEAST_TRUE = 0.25
 #: Images keep their poses while the offset moves by this, seconds.
 _MARGIN_S = 0.05
+#: Each start is refined in so many rounds, in which the errors are estimated anew.
+_START_ROUNDS = 3
 #: A body that moved and turned by less than this, stood still: metres, radians.
 STILL_M, STILL_RAD = 1e-3, 2e-3
 #: Poses that disagree with the images by this share of what moved belong to another motion.
@@ -170,7 +173,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
         ratio = float(np.exp(optimum.state.log_metre))
         if abs(ratio - 1) > MOST_APART:
             return replace(calibration, mount=NoEstimate('metres_differ', ratio=ratio))
-    mount = _mount(part, track, poses, facts, adjustment, optimum, rows)
+    mount = _mount(part, poses, facts, adjustment, optimum, rows)
     if other is not None:
         mount = _in_either_metre(mount, optimum)
     findings = _findings(mount, track, facts, optimum)
@@ -185,7 +188,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
 
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
                 facts: MountFacts) -> NoEstimate | None:
-    """Tell why poses of the body cannot say anything, or None."""
+    """Return why the poses of the body do not suffice; None where they may."""
     known = int(track.known().sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
     if known < needed:
@@ -206,16 +209,30 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
         return None
     track = track.anchored(offset)
     part = camera.chosen(rows)
-    # first with exact poses of the camera, which is quick
+    started = _best_start(part, track, poses, facts, offset, rows)
+    if started is None:
+        return None
+    best, rough = started
+    adjustment, optimum = _with_lag(Adjustment(part, track, rows, facts), best, rough)
+    lost = open_places(optimum, adjustment.free, track.odometry)
+    if len(lost):
+        optimum = _near_origin(adjustment.held_along(lost), lost, best, rough)
+    return adjustment, optimum, rows
+
+
+def _best_start(part: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
+                offset: float, rows: np.ndarray) -> tuple[State, PoseErrors] | None:
+    """Return the likeliest of the starts in closed form, and how large errors are there."""
+    # with exact poses of the camera, which is quick
     stiff = part.stiff()
     coarse = Adjustment(stiff, track, rows, facts)
-    errors = PoseErrors.of(poses, track, offset, rows, camera.has_path)
+    errors = PoseErrors.of(poses, track, offset, rows, part.has_path)
     every = np.ones(errors.shapes.shape[1], bool)
     tried = []
     for start in starts(stiff, track.at(offset, rows), offset):
         state = coarse.with_facts(start)
         rough = errors.from_medians(coarse.predict(state).residual, every)
-        for _ in range(3):
+        for _ in range(_START_ROUNDS):
             state, _ = coarse.descend(state, rough)
             rough = errors.from_medians(coarse.predict(state).residual, every)
         # the determinant stands for the size of the misfits, whichever their kind
@@ -225,39 +242,40 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
         return None
     _, best, rough = min(tried, key=lambda one: one[0])
     best = replace(best, w=np.zeros(part.roots.shape[2]))
-    if not track.odometry:
-        rough = with_errors_of_camera(rough, best, part)
-    adjustment = Adjustment(part, track, rows, facts)
-    optimum = adjustment.optimum(best, rough)
-    late = False
-    if track.timed:
-        track = track.anchored(optimum.state.offset)
-        adjustment = Adjustment(part, track, rows, facts)
-        optimum = adjustment.optimum(optimum.state, rough)
-        lag, sigma = adjustment.lag(optimum)
-        late = abs(lag) > max(LAG_SHOWS * sigma, LEAST_LAG_S)
-    if late:
-        adjustment = Adjustment(part, track, rows, facts, may_lag=True)
-        optimum = adjustment.optimum(optimum.state, rough)
-        track = track.anchored(optimum.state.offset)
-        adjustment = Adjustment(part, track, rows, facts, may_lag=True)
-        optimum = adjustment.optimum(optimum.state, rough)
-    lost = open_places(optimum, adjustment.free, track.odometry)
-    if len(lost):
-        near = Adjustment(part, track, rows, facts, lost, late)
-        place = best.place - lost.T @ (lost @ best.place)
-        nearer, _ = near.descend(replace(best, place=place), rough)
-        near_optimum = near.optimum(nearer, rough)
-        # what holds the place tells nothing of it
-        held = np.zeros_like(near_optimum.information)
-        held[T, T] = lost.T @ lost / NEAR_M**2
-        optimum = replace(near_optimum, information=near_optimum.information - held)
-    return adjustment, optimum, rows
+    return best, rough if track.odometry else with_errors_of_camera(rough, best, part)
+
+
+def _with_lag(adjustment: Adjustment, start: State, errors: PoseErrors,
+              ) -> tuple[Adjustment, Optimum]:
+    """Find the optimum; places of the poses may be late behind their turns where that shows."""
+    optimum = adjustment.optimum(start, errors)
+    if not adjustment.track.timed:
+        return adjustment, optimum
+    adjustment = adjustment.anchored(optimum.state.offset)
+    optimum = adjustment.optimum(optimum.state, errors)
+    lag, sigma = adjustment.lag(optimum)
+    if abs(lag) > max(LAG_SHOWS * sigma, LEAST_LAG_S):
+        adjustment = adjustment.with_lag()
+        optimum = adjustment.optimum(optimum.state, errors)
+        adjustment = adjustment.anchored(optimum.state.offset)
+        optimum = adjustment.optimum(optimum.state, errors)
+    return adjustment, optimum
+
+
+def _near_origin(near: Adjustment, lost: np.ndarray, start: State, errors: PoseErrors) -> Optimum:
+    """Find the optimum whose place is at the body's origin along open directions (n, 3)."""
+    place = start.place - lost.T @ (lost @ start.place)
+    nearer, _ = near.descend(replace(start, place=place), errors)
+    optimum = near.optimum(nearer, errors)
+    # what holds the place tells nothing of it
+    held = np.zeros_like(optimum.information)
+    held[T, T] = lost.T @ lost / NEAR_M**2
+    return replace(optimum, information=optimum.information - held)
 
 
 def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
                    rows: np.ndarray) -> NoEstimate | None:
-    """Tell in what poses of body and camera disagree, or None."""
+    """Return in what the poses of body and camera disagree; None where they agree."""
     wrong = 1 - optimum.keep.mean()
     if wrong > MOST_WRONG:
         return NoEstimate('body_poses_wrong', share=float(wrong))
@@ -324,10 +342,10 @@ def _drifts(optimum: Optimum) -> bool:
                 and not alike_in_a_row(optimum))
 
 
-def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
-           adjustment: Adjustment, optimum: Optimum, rows: np.ndarray) -> Mount:
+def _mount(camera: CameraPoses, poses: BodyPoses, facts: MountFacts, adjustment: Adjustment,
+           optimum: Optimum, rows: np.ndarray) -> Mount:
     """Put an optimum in the form of a result."""
-    state = optimum.state
+    state, track = optimum.state, adjustment.track
     body = track.at(state.offset, rows)
     turns = pairs_of(camera, body).body_turn
     status = degrees_of_freedom(optimum, adjustment.free, track, facts)
@@ -336,21 +354,7 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     if 'estimated' in angles and 'unobservable' not in angles:
         either = open_sense(adjustment, optimum, body)
         status = without_sense(status, either)
-    columns = np.r_[T, TURN, SCALE, OFFSET]
-    total = optimum.covariance.copy()
-    # rates that noise made up tell nothing
-    feigned = total[OFFSET, OFFSET] * track.feigned_information(
-        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
-    wider = 1 / max(1 - feigned, LEAST_TRUE)
-    total[OFFSET] *= wider
-    total[:, OFFSET] *= wider
-    # the turns' clock is taken; that of the places may be the right one
-    total[OFFSET, OFFSET] += state.lag**2
-    # a factor of the poses' metres goes to the scale and the place alike, as the state has it
-    unit = np.ones(len(NAMES))
-    scale = float(np.exp(state.log_scale))
-    unit[NAMES.index('scale')] = scale
-    covariance = total[np.ix_(columns, columns)] * np.outer(unit, unit)
+    covariance, scale = _covariance(track, optimum, rows), float(np.exp(state.log_scale))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = state.turn, state.place
     for index, name in enumerate(NAMES):
@@ -376,6 +380,25 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
                  missing_motion(status, track, turns, either is not None), len(rows),
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
                  places=places, axis=axis, pose_sigmas=optimum.errors.by_component)
+
+
+def _covariance(track: BodyTrack, optimum: Optimum, rows: np.ndarray) -> np.ndarray:
+    """Return the covariance of `NAMES`, (8, 8): metres, radians, a factor and seconds."""
+    state, total = optimum.state, optimum.covariance.copy()
+    # rates that noise made up tell nothing
+    feigned = total[OFFSET, OFFSET] * track.feigned_information(
+        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
+    wider = 1 / max(1 - feigned, LEAST_TRUE)
+    total[OFFSET] *= wider
+    total[:, OFFSET] *= wider
+    # the turns' clock is taken; that of the places may be the right one
+    total[OFFSET, OFFSET] += state.lag**2
+    # a factor of the poses' metres goes to scale and place alike; the state has its logarithm
+    unit = np.ones(len(NAMES))
+    unit[NAMES.index('scale')] = float(np.exp(state.log_scale))
+    columns = np.r_[T, TURN, SCALE, OFFSET]
+    of_names: np.ndarray = total[np.ix_(columns, columns)] * np.outer(unit, unit)
+    return of_names
 
 
 def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimum,

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.scaled_inverse import unit_diagonal
+from selfcal_ros.values.parameter_status import Status
 
 #: Sigma from which on a degree of freedom counts as unobservable: no better than a look at the
 #: robot. Metres, radians, share of the scale, seconds.
@@ -48,7 +49,7 @@ _LIMITS = np.array([LIMIT_M] * 3 + [LIMIT_RAD] * 3 + [LIMIT_SCALE, LIMIT_S])
 
 
 def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
-                       facts: MountFacts) -> dict[str, str]:
+                       facts: MountFacts) -> dict[str, Status]:
     """
     Tell 'estimated', 'held' or 'unobservable' for each of `NAMES`.
 
@@ -71,7 +72,7 @@ def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
     held.discard('scale')
     if not track.timed:
         held.add('time_offset')
-    status = {}
+    status: dict[str, Status] = {}
     for name, column, limit, value in zip(NAMES, _COLUMNS, _LIMITS, sigma):
         if name in held:
             status[name] = 'held'
@@ -116,15 +117,16 @@ def axis_in_camera(optimum: Optimum, axis: np.ndarray) -> AxisInCamera:
     return AxisInCamera(axis, optimum.state.turn.T @ axis, float(sigma))
 
 
-def without_sense(status: dict[str, str], way: np.ndarray | None) -> dict[str, str]:
+def without_sense(status: dict[str, Status], way: np.ndarray | None) -> dict[str, Status]:
     """
-    Open what a camera that may be turned over has not.
+    Call unobservable what a half turn of the camera about an axis would change.
 
     Parameters
     ----------
     status : dict of str to str
     way : ndarray, shape (3,), or None
-        Unit vector in the body about which it may be turned by half a turn.
+        Unit vector in the body of an axis about which the data allow such a turn; None if of
+        none.
 
     Returns
     -------
@@ -230,7 +232,7 @@ def _by_crossing(Q: np.ndarray, W: np.ndarray) -> np.ndarray:
     return total
 
 
-def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray,
+def missing_motion(status: dict[str, Status], track: BodyTrack, turns: np.ndarray,
                    slight: bool = False) -> dict[str, str]:
     """
     Say which motion or fact would show what is open.

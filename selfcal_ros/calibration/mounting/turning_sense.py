@@ -69,7 +69,7 @@ def open_sense(adjustment: Adjustment, optimum: Optimum, body: BodyAt) -> np.nda
     ahead = np.einsum('vji,vj->vi', body.rotation[:-1], moves)
     way = np.linalg.svd(ahead, full_matrices=False)[2][0]
     # far from the body its lever would make an explanation of errors of the images
-    near = adjustment.near_by()
+    near = adjustment.held_along(np.eye(3))
     upright = near.optimum(optimum.state, optimum.errors)
     state = _turned_over(upright.state, body, way)
     errors = upright.errors.from_medians(near.predict(state).residual, upright.keep)

@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Which poses contradict the others, by what chance leaves them.
+Outliers among the poses of the body.
 
-Each is held against the mount that the others give, and against the errors that the others show
-(a test of deletion, with externally studentised misfits). Few poses leave few degrees of freedom:
+Each pose is tested against the mount and the errors that the other poses give (a deletion test,
+with externally studentised residuals). Few poses leave few degrees of freedom:
 then even a large misfit may be chance.
 """
 

@@ -14,11 +14,12 @@
 """
 The half of the tracks that one still scene explains best: least trimmed squares over tracks.
 
-A thing that moves bends the whole path where its tracks are many, or the longest. Then it is the
-still tracks that seem to contradict, and no test of single tracks begins at the truth. Half of
-the tracks do without the thing. Concentration steps find them: fit a half, keep the half that fits
-best, and again (P. J. Rousseeuw and K. Van Driessen 2006, Computing LTS Regression for Large Data
-Sets, section 3). Whole tracks are kept or left: a single observation often agrees by chance.
+A moving thing pulls the whole path where its tracks are many, or the longest. Then it is the
+still tracks that look like outliers, and tests of single tracks start from a wrong estimate. Half
+of the tracks do without the moving thing. Concentration steps find them: fit a half, keep the
+half that fits best, and again (P. J. Rousseeuw and K. Van Driessen 2006, Computing LTS Regression
+for Large Data Sets, section 3). Whole tracks are kept or left: a single observation often agrees
+by chance.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        OUTLIER_SIGMAS, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.moving.track_judgement import freedom_of, judge_tracks
 from selfcal_ros.geometry.distributions import chi2_isf
 
@@ -78,7 +80,7 @@ def coherent_half(observations: Observations, state: SceneState, motion: MotionM
         if placed is None or len(np.unique(rest.view)) < len(state.path):
             return None
         bundle = bundle_of(rest, motion, priors, sigma_px)
-        state = bundle.optimise(bundle.refine_points(placed), iterations=4, tolerance=1.0)
+        state = bundle.optimise(bundle.refine_points(placed), iterations=4, tolerance=TO_GO_ON)
         left_px = bundle.noise_sigma(state)
         if not np.isfinite(left_px):
             return None

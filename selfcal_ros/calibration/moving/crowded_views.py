@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A thing that crosses: tracks that nothing explains crowd in the views that see it.
+A moving thing that few views see: there the tracks crowd that nothing explains.
 
-The path bends after the thing there, so that still points fit badly, too. Over the whole recording
-that looks as if patches drifted. But patches drift in all views, and gross errors are in all of
-them, while what crosses leaves the others calm.
+It pulls the poses of these views, so that still points fit badly there, too. Over the whole
+recording that looks as if image patches drifted. But drift and gross errors occur in all views,
+while such a thing leaves the other views undisturbed.
 """
 
 from __future__ import annotations

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_CHOOSE
 from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
                                                                       planar_start,
                                                                       spanning_order)
@@ -252,7 +253,7 @@ def _adjusted(observations: Observations, pairs: list[PairGeometry], turns: np.n
             continue
         for sigmas in (COARSE, 2.0):
             loose = bundle.with_sigma(sigmas * sigma_px)
-            state = loose.optimise(state, iterations=25, tolerance=0.5)
+            state = loose.optimise(state, iterations=25, tolerance=TO_CHOOSE)
         trimmed = _trimmed(observations, state, bundle)
         if trimmed[2] < least:
             best, least = trimmed[:2], trimmed[2]
@@ -277,7 +278,7 @@ def _trimmed(observations: Observations, state: SceneState, bundle: Bundle[Scene
         settled = len(rest.view) == len(observations.view)
         observations, state = rest, replace(state, points=state.points[points])
         bundle = bundle_of(observations, GENERAL, bundle.priors, bundle.sigma_px)
-        state = bundle.optimise(state, iterations=25, tolerance=0.5)
+        state = bundle.optimise(state, iterations=25, tolerance=TO_CHOOSE)
         if settled:
             break
     return bundle, state, bundle.cost(state) / max(bundle.degrees_of_freedom, 1)

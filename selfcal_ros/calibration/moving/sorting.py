@@ -14,10 +14,10 @@
 """
 Sort tracks by what explains the whole of them: the still scene, a body, a jump, or nothing.
 
-The robust adjustment rejects observations one by one. Of a thing that moves it keeps those that
-agree with some point by chance, along epipolar lines most of all, and these pull the camera their
-way. So tracks go as a whole, and what explains them is looked for: rigid bodies first, then jumps
-from one still point to another, as on a repeated pattern.
+The robust adjustment rejects observations one by one. Of a moving thing it keeps those that agree
+with some point by chance, mostly along epipolar lines, and these bias the camera. So tracks are
+rejected as a whole, and then explained: as rigid bodies first, then as jumps from one still point
+to another, as on a repeated pattern.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ facts, K with omega by the derivative of Cholesky's factor. All of it in closed 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +29,8 @@ from scipy.linalg import block_diag
 
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry.camera_facts import CameraFacts
-from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.projective import calibration_from_iac, cross_matrix
 
 #: Spread given to an exact fact when it must be weighed against another: aspect ratio, skew
 #: and principal point, the last two in focal lengths.
@@ -36,6 +38,38 @@ EXACT_SIGMAS = {'aspect_ratio': 1e-3, 'skew': 1e-3, 'principal_point': 1e-3}
 
 #: Row and column in K of fx, fy, cx, cy, skew.
 K_ENTRIES = np.array([(0, 0), (1, 1), (0, 2), (1, 2), (0, 1)]).T
+
+
+@dataclass(frozen=True)
+class Pencil:
+    """
+    The pencil of conics omega(mu) = C + mu l l^T (5.3), and the facts that pick a member.
+
+    Attributes
+    ----------
+    fixed, working : FixedPoints
+        In pixels, and in the working frame.
+    T : ndarray, shape (3, 3)
+        Similarity from pixels to the working frame.
+    C, ll : ndarray, shape (3, 3)
+        In the working frame, of unit norm; see `conic_pencil.conic_pencil`.
+    known : sequence of str
+        Facts that are used: 'aspect_ratio', 'principal_point', 'skew'.
+    facts : CameraFacts
+
+    """
+
+    fixed: FixedPoints
+    working: FixedPoints
+    T: np.ndarray
+    C: np.ndarray
+    ll: np.ndarray
+    known: Sequence[str]
+    facts: CameraFacts
+
+    def camera(self, mu: float) -> np.ndarray | NoEstimate:
+        """Return K (3, 3) of a member, in the working frame; none where it is not definite."""
+        return calibration_from_iac(self.C + mu * self.ll)
 
 
 def calibration_slopes(K: np.ndarray, omega: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -63,9 +97,7 @@ def calibration_slopes(K: np.ndarray, omega: np.ndarray, change: np.ndarray) -> 
     return slopes
 
 
-def calibration_covariance(K: np.ndarray, C: np.ndarray, ll: np.ndarray, mu: float,
-                           fixed: FixedPoints, working: FixedPoints, T: np.ndarray,
-                           known: Sequence[str], facts: CameraFacts, covariance: ArrayLike,
+def calibration_covariance(K: np.ndarray, pencil: Pencil, mu: float, covariance: ArrayLike,
                            ) -> np.ndarray:
     """
     Covariance of fx, fy, cx, cy, skew.
@@ -74,15 +106,10 @@ def calibration_covariance(K: np.ndarray, C: np.ndarray, ll: np.ndarray, mu: flo
     ----------
     K : ndarray, shape (3, 3)
         Pixels.
-    C, ll, mu
-        The member of the pencil in the working frame; see `conic_pencil.conic_pencil`.
-    fixed, working : FixedPoints
-        In pixels, and in the working frame.
-    T : ndarray, shape (3, 3)
-        From pixels to the working frame; its own movement changes nothing.
-    known : list of str
-        Facts that were used.
-    facts : CameraFacts
+    pencil : Pencil
+        The movement of its frame with the fixed points changes nothing.
+    mu : float
+        Member of the pencil.
     covariance : array_like, shape (9, 9)
         Of v, Re i and Im i as in the estimate's FixedPoints, pixels.
 
@@ -91,6 +118,7 @@ def calibration_covariance(K: np.ndarray, C: np.ndarray, ll: np.ndarray, mu: flo
     ndarray, shape (5, 5)
 
     """
+    T, C, ll, fixed, working = pencil.T, pencil.C, pencil.ll, pencil.fixed, pencil.working
     v, i = working.vanishing_point, working.circular_point
     back = np.linalg.inv(T)
     dv, di = np.zeros((3, 9)), np.zeros((3, 9), complex)
@@ -109,7 +137,7 @@ def calibration_covariance(K: np.ndarray, C: np.ndarray, ll: np.ndarray, mu: flo
     slopes = calibration_slopes(working_K, omega, np.concatenate([dC + mu * dll, ll[None]]))
     slopes = (back @ slopes)[(slice(None), *K_ENTRIES)].T / back[2, 2]     # (5, 10)
     by_points, by_mu = slopes[:, :9], slopes[:, 9]
-    facts_by_K, free = fact_slopes(K, known, facts, omega[:2, :2])
+    facts_by_K, free = fact_slopes(K, pencil.known, pencil.facts, omega[:2, :2])
     along = facts_by_K @ by_mu
     weight = along / (along @ along)
     total = by_points - np.outer(by_mu, weight @ facts_by_K @ by_points)

@@ -20,22 +20,24 @@ fact gives mu. All work is done in a frame in which i lies near (0, 0) at unit d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.calibration.planar.conic_covariance import calibration_covariance, EXACT_SIGMAS
+from selfcal_ros.calibration.planar.conic_covariance import (calibration_covariance, EXACT_SIGMAS,
+                                                             Pencil)
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.geometry.projective import calibration_from_iac, iac_from_calibration
+from selfcal_ros.geometry.projective import iac_from_calibration
 
 #: Largest change of the camera per unit change of a fact with which a fact may pick the camera.
 #: Both are without dimension: focal lengths by their logarithm, aspect ratio as it is, skew and
 #: principal point in focal lengths.
 LEVERAGE_LIMIT = 20.0
+#: Steps of an iteration along the pencil at most, and halvings of each. They converge in a few.
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -143,14 +145,10 @@ def mu_from_principal_point(C: np.ndarray, ll: np.ndarray, point: np.ndarray) ->
     return [-(a @ b) / below] if below else []
 
 
-def _camera(C: np.ndarray, ll: np.ndarray, mu: float) -> np.ndarray | NoEstimate:
-    return calibration_from_iac(C + mu * ll)
-
-
-def _slopes(C: np.ndarray, ll: np.ndarray, mu: float) -> dict[str, np.ndarray]:
+def _slopes(pencil: Pencil, mu: float) -> dict[str, np.ndarray]:
     """Derivative of the facts' values along the pencil, per unit change of the camera."""
-    step = 1e-6 * max(abs(mu), 1e-3)
-    one, other = (_camera(C, ll, mu + s) for s in (step, -step))
+    step = _step(mu)
+    one, other = (pencil.camera(mu + s) for s in (step, -step))
     if isinstance(one, NoEstimate) or isinstance(other, NoEstimate):
         return {name: np.zeros(1) for name in EXACT_SIGMAS}
     first, second = _values(one), _values(other)
@@ -158,6 +156,11 @@ def _slopes(C: np.ndarray, ll: np.ndarray, mu: float) -> dict[str, np.ndarray]:
     focal = np.log(np.diag(one)[:2] / np.diag(other)[:2])
     size = np.linalg.norm([*focal, *change['skew'], *change['principal_point']])
     return {name: value / max(size, 1e-300) for name, value in change.items()}
+
+
+def _step(mu: float) -> float:
+    """Return a step of mu for differences: large beside rounding, small beside curvature."""
+    return 1e-6 * max(abs(mu), 1e-3)
 
 
 def _leverage(slope: np.ndarray) -> float:
@@ -197,16 +200,17 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     if not (np.isfinite(T).all() and np.isfinite(working.vanishing_point).all()):
         return NoEstimate('circular_points_at_infinity')
     C, ll = conic_pencil(working)
+    pencil = Pencil(fixed, working, T, C, ll, known, facts)
     candidates = []
     failure = NoEstimate('fact_meets_no_member')
     for name in known:
-        for mu in _closed_form(name, C, ll, facts, T):
-            K = _camera(C, ll, mu)
+        for mu in _closed_form(name, pencil):
+            K = pencil.camera(mu)
             if isinstance(K, NoEstimate):
                 failure = K
                 continue
-            slopes = _slopes(C, ll, mu)
-            candidates.append((_misfit(K, known, facts, T), _leverage(slopes[name]), mu, slopes))
+            slopes = _slopes(pencil, mu)
+            candidates.append((_misfit(K, pencil), _leverage(slopes[name]), mu, slopes))
     if not candidates:
         ratio = abs(ll[0, 1]) / (ll[0, 0] + ll[1, 1])
         if known == ['skew'] and ratio < 1 / LEVERAGE_LIMIT:
@@ -220,8 +224,8 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
         return NoEstimate('fact_without_hold', known=tuple(known), factor=float(joint),
                           limit=LEVERAGE_LIMIT, tilt_deg=float(tilt))
     if len(known) > 1:
-        mu = _weighed(C, ll, mu, known, facts, T)
-    K = _camera(C, ll, mu)
+        mu = _weighed(pencil, mu)
+    K = pencil.camera(mu)
     if isinstance(K, NoEstimate):
         return K
     K = np.linalg.solve(T, K)
@@ -229,19 +233,19 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     if abs(K[0, 1]) > K[0, 0]:
         return NoEstimate('skew_too_large', skew_px=float(K[0, 1]), focal_px=float(K[0, 0]))
     if covariance is not None:
-        covariance = calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
-                                            covariance)
+        covariance = calibration_covariance(K, pencil, mu, covariance)
     return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage, covariance)
 
 
-def _closed_form(name: str, C: np.ndarray, ll: np.ndarray, facts: CameraFacts, T: np.ndarray,
-                 ) -> list[float]:
+def _closed_form(name: str, pencil: Pencil) -> list[float]:
+    """Return the members that agree with one fact (5.7-5.9)."""
+    C, ll, T, facts = pencil.C, pencil.ll, pencil.T, pencil.facts
     if name == 'skew':
         shear, found = 0.0, []
         # the skew is known in pixels but enters in focal lengths: a few rounds settle it
-        for _ in range(20 if facts.skew else 1):
+        for _ in range(_ROUNDS if facts.skew else 1):
             found = mu_from_skew(C, ll, shear)
-            K = _camera(C, ll, found[0]) if found else None
+            K = pencil.camera(found[0]) if found else None
             if not isinstance(K, np.ndarray):
                 break
             new = facts.skew * T[0, 0] / K[1, 1]
@@ -256,12 +260,12 @@ def _closed_form(name: str, C: np.ndarray, ll: np.ndarray, facts: CameraFacts, T
     return mu_from_principal_point(C, ll, (T @ [*facts.principal_point, 1.0])[:2])
 
 
-def _residuals(K: np.ndarray, known: Sequence[str], facts: CameraFacts, T: np.ndarray,
-               ) -> np.ndarray:
-    """Deviations from the facts in sigmas."""
+def _residuals(K: np.ndarray, pencil: Pencil) -> np.ndarray:
+    """Deviations of K, in the working frame, from the facts in sigmas."""
+    facts, T = pencil.facts, pencil.T
     values, focal_px = _values(K), K[0, 0] / T[0, 0]
     out = []
-    for name in known:
+    for name in pencil.known:
         if name == 'principal_point':
             assert facts.principal_point is not None
             target = (T @ [*facts.principal_point, 1.0])[:2] / K[0, 0]
@@ -274,25 +278,24 @@ def _residuals(K: np.ndarray, known: Sequence[str], facts: CameraFacts, T: np.nd
     return np.concatenate(out)
 
 
-def _misfit(K: np.ndarray, known: Sequence[str], facts: CameraFacts, T: np.ndarray) -> float:
-    return float((_residuals(K, known, facts, T) ** 2).sum())
+def _misfit(K: np.ndarray, pencil: Pencil) -> float:
+    return float((_residuals(K, pencil) ** 2).sum())
 
 
-def _weighed(C: np.ndarray, ll: np.ndarray, mu: float, known: Sequence[str], facts: CameraFacts,
-             T: np.ndarray) -> float:
+def _weighed(pencil: Pencil, mu: float) -> float:
     """Least squares over the facts along the pencil, by Gauss-Newton on one parameter."""
-    for _ in range(20):
-        step = 1e-6 * max(abs(mu), 1e-3)
+    for _ in range(_ROUNDS):
+        step = _step(mu)
         sides = [K for m in (mu, mu + step, mu - step)
-                 if not isinstance(K := _camera(C, ll, m), NoEstimate)]
+                 if not isinstance(K := pencil.camera(m), NoEstimate)]
         if len(sides) < 3:
             break
-        r, above, below = (_residuals(K, known, facts, T) for K in sides)
+        r, above, below = (_residuals(K, pencil) for K in sides)
         slope = (above - below) / (2 * step)
         change = -(slope @ r) / max(slope @ slope, 1e-300)
-        for _ in range(20):
-            K = _camera(C, ll, mu + change)
-            if not isinstance(K, NoEstimate) and _misfit(K, known, facts, T) <= r @ r:
+        for _ in range(_ROUNDS):
+            K = pencil.camera(mu + change)
+            if not isinstance(K, NoEstimate) and _misfit(K, pencil) <= r @ r:
                 break
             change /= 2
         else:

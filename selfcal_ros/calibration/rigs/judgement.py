@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +39,12 @@ from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstima
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovariance,
                                                                     robust_covariance_of)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
-from selfcal_ros.version import __version__
+from selfcal_ros.values.parameter_status import Status, unobservable_among
+from selfcal_ros.version import SOFTWARE
 
 #: Cameras that are rigid to each other leave less than so many times what each leaves alone.
 RIGID = 2.0
@@ -148,11 +150,85 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         return refusal
     found = optimum.corrections().applied_to(
         AssessedEstimate.of(optimum.fit, optimum.image_sizes))
-    state, inner, findings = found.state, found.covariance, found.findings
+    terms, findings = _terms(optimum, found, baseline)
+    rig, covariance = terms.rig, terms.covariance
+    cameras, poses, parameters = {}, {}, []
+    for k, name in enumerate(rig.cameras):
+        one = _camera(optimum, found, k, covariance, terms.scale)
+        missing = unobservable_among(one.status, MATRIX_PARAMETERS)
+        if missing:
+            return NoEstimate('rig_lens_open', camera=name, missing=missing,
+                              motion=optimum.motion, status=one.status)
+        cameras[name], poses[name] = one, _pose(optimum, terms, k)
+        parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
+        covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
+        remark = poses[name].remark
+        findings += () if remark is None else (remark,)
+    for k, name in enumerate(rig.cameras[1:], 1):
+        parameters += [name_in_rig(name, one) for one in POSE_NAMES]
+        _open(covariance, rig.of_pose(k), poses[name])
+    points = terms.shared_points
+    findings = (Finding('rig_overlap', points=int(points.max())) if points.any()
+                else Finding('rig_no_overlap'), *findings)
+    fit = optimum.fit
+    residuals = found.residual[fit.linearisation.ahead]
+    return RigCalibration(
+        cameras=cameras, poses=poses, parameter_names=tuple(parameters), covariance=covariance,
+        unit=terms.unit, scale=terms.scale * found.state.path.step_length(),
+        motion=optimum.motion, frames=tuple(int(frame) for frame in optimum.found.frames),
+        noise_sigma_px=fit.bundle.sigma_px,
+        reprojection_rms_px=rms_length(residuals),
+        observation_count=len(fit.observations.view), outlier_count=fit.outliers,
+        reconstruction=next(iter(cameras.values())).reconstructed, alone=dict(alone),
+        findings=findings, software=SOFTWARE)
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """
+    A rig in the terms of users: parameters, places in a unit of length, and their covariance.
+
+    Attributes
+    ----------
+    rig : Rig
+        In the scale of the adjustment.
+    unit : {'path', 'm'}
+        Of places: the usual step of the path, or metres.
+    scale : float
+        So many units is the length one of the adjustment.
+    covariance : ndarray, shape (n, n)
+        Of the cameras' parameters and poses, in the order of `Rig.names`, in that unit. Heights
+        that are open have the variance of the path.
+    path_spread : float
+        Root mean square distance of the path from its middle, in that unit.
+    heights : tuple of (tuple of int, ndarray)
+        Cameras whose common height above the others is open, and its direction (3,) in the rig.
+    shared_points : ndarray of int, shape (C,)
+        Points that every camera shares with others.
+
+    """
+
+    rig: Rig
+    unit: str
+    scale: float
+    covariance: np.ndarray
+    path_spread: float
+    heights: Sequence[tuple[Sequence[int], np.ndarray]]
+    shared_points: np.ndarray
+
+    def open_height(self, k: int) -> np.ndarray:
+        """Return the direction (3,) in which the place of a camera is open; zero if in none."""
+        return next((normal for group, normal in self.heights if k in group), np.zeros(3))
+
+
+def _terms(optimum: RigOptimum, found: AssessedEstimate, baseline: tuple[float, float] | None,
+           ) -> tuple[_Terms, tuple[Finding, ...]]:
+    """Carry an estimate to parameters and a unit of length: metres where a baseline gives it."""
+    state, inner, findings = found.state, found.covariance.copy(), found.findings
     assert isinstance(state, RigState)
     rig = state.lens
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
-    more, overlap = np.zeros(len(slopes)), Overlap.of(optimum.fit.observations)
+    of_baseline, overlap = np.zeros(len(slopes)), Overlap.of(optimum.fit.observations)
     heights, spread = (unseen_heights(optimum.fit, overlap, found.clusters.sigma_inflation),
                        _spread(state.path.centres()))
     for group, normal in heights:
@@ -168,44 +244,14 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
             slopes = _carried_by_baseline(rig, slopes)
             for k in range(1, len(rig.cameras)):
-                more[rig.of_pose(k)][:3] = rig.place(k) * scale * baseline[1] / baseline[0]
+                of_baseline[rig.of_pose(k)][:3] = rig.place(k) * scale * baseline[1] / baseline[0]
         else:
             findings += (Finding('rig_baseline_of_no_use', camera=rig.cameras[1]),)
     for k in range(1, len(rig.cameras)):
         slopes[rig.of_pose(k)][:3] *= scale
-    covariance = slopes @ inner @ slopes.T + np.outer(more, more)
-    spread *= scale
-    cameras, poses, parameters = {}, {}, []
-    for k, name in enumerate(rig.cameras):
-        one = _camera(optimum, found, k, covariance, scale)
-        missing = tuple(n for n in MATRIX_PARAMETERS if one.status[n] == 'unobservable')
-        if missing:
-            return NoEstimate('rig_lens_open', camera=name, missing=missing,
-                              motion=optimum.motion, status=one.status)
-        cameras[name] = one
-        parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
-        covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
-        height = next((normal for group, normal in heights if k in group), np.zeros(3))
-        poses[name] = _pose(optimum, rig, k, covariance, scale, spread, int(overlap.points[k]),
-                            height)
-        remark = poses[name].remark
-        findings += () if remark is None else (remark,)
-    for k, name in enumerate(rig.cameras[1:], 1):
-        parameters += [name_in_rig(name, one) for one in POSE_NAMES]
-        _open(covariance, rig.of_pose(k), poses[name])
-    findings = (Finding('rig_overlap', points=int(overlap.points.max()))
-                if overlap.points.any() else Finding('rig_no_overlap'), *findings)
-    fit = optimum.fit
-    residuals = found.residual[fit.linearisation.ahead]
-    return RigCalibration(
-        cameras=cameras, poses=poses, parameter_names=tuple(parameters), covariance=covariance,
-        unit=unit, scale=scale * state.path.step_length(), motion=optimum.motion,
-        frames=tuple(int(frame) for frame in optimum.found.frames),
-        noise_sigma_px=fit.bundle.sigma_px,
-        reprojection_rms_px=rms_length(residuals),
-        observation_count=len(fit.observations.view), outlier_count=fit.outliers,
-        reconstruction=next(iter(cameras.values())).reconstructed, alone=dict(alone),
-        findings=findings, software=f'selfcal_ros {__version__}')
+    covariance = slopes @ inner @ slopes.T + np.outer(of_baseline, of_baseline)
+    return _Terms(rig, unit, scale, covariance, scale * spread, heights,
+                  overlap.points), findings
 
 
 def _spread(centres: np.ndarray) -> float:
@@ -270,7 +316,7 @@ def _camera(optimum: RigOptimum, found: AssessedEstimate, k: int, covariance: np
         reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=int(rows.sum()),
         outlier_count=int(np.count_nonzero(offered == k) - rows.sum()),
-        software=f'selfcal_ros {__version__}',
+        software=SOFTWARE,
         reconstruction=Reconstruction(
             frames, path[seen], fit.observations.track[at],
             points / np.linalg.norm(points, axis=1, keepdims=True),
@@ -279,16 +325,16 @@ def _camera(optimum: RigOptimum, found: AssessedEstimate, k: int, covariance: np
         residuals=residuals)
 
 
-def _pose(optimum: RigOptimum, rig: Rig, k: int, covariance: np.ndarray, scale: float,
-          spread: float, shared: int, height: np.ndarray) -> CameraInRig:
-    """Return where a camera sits, and what of it is open; a height (3,) that is counts as none."""
-    T = np.eye(4)
+def _pose(optimum: RigOptimum, terms: _Terms, k: int) -> CameraInRig:
+    """Return where a camera sits, and what of it is open; a height that is counts as none."""
+    T, rig, scale, height = np.eye(4), terms.rig, terms.scale, terms.open_height(k)
+    shared, open_place = int(terms.shared_points[k]), OPEN_PLACE * terms.path_spread
     if k == 0:
         return CameraInRig(T, np.zeros((6, 6)), dict.fromkeys((*PLACE, *TURN), 'held'),
                            shared)
-    own = covariance[rig.of_pose(k), rig.of_pose(k)].copy()
+    own = terms.covariance[rig.of_pose(k), rig.of_pose(k)].copy()
     sigma = np.sqrt(np.diag(own))
-    is_open = sigma > np.r_[[OPEN_PLACE * spread] * 3, [OPEN_TURN_RAD] * 3]
+    is_open = sigma > np.r_[[open_place] * 3, [OPEN_TURN_RAD] * 3]
     place = rig.place(k)
     T[:3, :3], T[:3, 3] = rig.rotations[k], (place - height * (height @ place)) * scale
     places: tuple[PlaceAlong, ...] = ()
@@ -296,20 +342,20 @@ def _pose(optimum: RigOptimum, rig: Rig, k: int, covariance: np.ndarray, scale: 
         # a direction that is open need not be an axis
         squares, turns = np.linalg.eigh(own[:3, :3])
         places = places_along(T[:3, 3].copy(), own[:3, :3],
-                              turns[:, squares > (OPEN_PLACE * spread)**2].T, np.inf)
+                              turns[:, squares > open_place**2].T, np.inf)
     T[:3, 3][is_open[:3]] = np.nan
     if is_open[3:].any():
         T[:3, :3] = np.nan
     own[is_open] = own[:, is_open] = 0
     own[is_open, is_open] = np.inf
-    status = {name: 'unobservable' if one else 'estimated'
-              for name, one in zip(POSE_NAMES, is_open)}
+    status: dict[str, Status] = {name: 'unobservable' if one else 'estimated'
+                                 for name, one in zip(POSE_NAMES, is_open)}
     return CameraInRig(T, own, status, shared, _remark(optimum, rig.cameras[k], status), places)
 
 
-def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, str]) -> Finding | None:
+def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, Status]) -> Finding | None:
     """Say what is open, and which motion would show it."""
-    names = tuple(name for name, how in status.items() if how == 'unobservable')
+    names = unobservable_among(status, status)
     if not names:
         return None
     kind = ('rig_circle_open' if optimum.motion == 'circular' else

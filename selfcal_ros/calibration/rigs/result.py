@@ -26,6 +26,7 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.rotation import roll_pitch_yaw
+from selfcal_ros.values.parameter_status import Status
 
 #: Degrees of freedom of a camera in its rig: place, and small turns about the rig's axes (rad).
 PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
@@ -59,7 +60,7 @@ class CameraInRig:
 
     T_rig_camera: np.ndarray
     covariance: np.ndarray
-    status: dict[str, str]
+    status: dict[str, Status]
     shared_points: int = 0
     remark: Finding | None = None
     places: tuple[PlaceAlong, ...] = ()

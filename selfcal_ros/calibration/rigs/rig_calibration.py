@@ -43,7 +43,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
-from selfcal_ros.version import __version__
+from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -155,7 +155,7 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
         return result
     return NotCalibrated.of(result, frames=np.unique(np.concatenate(
         [one.frames for one in tracks.values()])), facts=next(iter(of_camera.values())),
-        software=f'selfcal_ros {__version__}')
+        software=SOFTWARE)
 
 
 def _tell(progress: Callable[[str, int, int | None], None] | None, text: str) -> None:

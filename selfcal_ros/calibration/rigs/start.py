@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts, wit
 from selfcal_ros.calibration.bundle.rig import Rig, RigPriors
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
+from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.rigs.alignment import align
@@ -371,7 +372,7 @@ def best_start(found: RigObservations, reference: Calibration,
         bundle = bundle_of(few, motion, priors, sigma_px)
         state = bundle.refine_points(with_fixed(start, priors))
         # far from the optimum what fits would be taken for outliers
-        state = bundle.optimise(state, iterations=START_ITERATIONS, tolerance=1.0)
+        state = bundle.optimise(state, iterations=START_ITERATIONS, tolerance=TO_GO_ON)
         assert isinstance(state, RigState), 'as it began'
         # wrong tracks may cost less where everything else is bent to them; they are few
         left = bundle.noise_sigma(state)

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.bundle import BEHIND_SIGMAS, Bundle
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY
 from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, ZoomModel
 from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
@@ -194,7 +195,7 @@ def gains_of_tracks(fit: RobustFit, instants: tuple[float, ...],
     bundle = bundle_of(fit.observations, replace(fit.motion, zoom=model), fit.bundle.priors,
                        fit.bundle.sigma_px)
     constant = replace(fit.state, zoom=Zoom.constant(len(instants)))
-    varying = bundle.optimise(constant, iterations=4, tolerance=0.1)
+    varying = bundle.optimise(constant, iterations=4, tolerance=TO_COMPARE_ROUGHLY)
     gain: np.ndarray = _cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying)
     return gain
 

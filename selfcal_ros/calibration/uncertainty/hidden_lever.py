@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A camera that seems to turn about its own centre: by how much may it miss that point?
+How far a camera that seems to turn about its centre may be from the centre of rotation.
 
 A lever ℓ from the point that rests moves the image of a point at depth d by what ℓ / d does. What
 it does at the points' usual depth is nearly what another focal length and principal point do. Only
@@ -68,7 +68,7 @@ class HiddenLever:
     covariance: np.ndarray
 
     def findings(self, other: np.ndarray) -> tuple[Finding, ...]:
-        """Tell of it where it does more to the focal length than all other errors (k, k) do."""
+        """Report it where it adds more variance to the focal length than all else, (k, k)."""
         return ((Finding('lever_not_excluded', share=self.size),)
                 if self.covariance[0, 0] > other[0, 0] else ())
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What the images say and what the facts say.
+Which share of what is known of each parameter comes from the images, and which from facts.
 
 The covariance C of an estimate from images and facts obeys C = C (I + Λ) C, with I the images'
 information and Λ that of the facts. So C Λ C is the part of the variance that the facts' own

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What real lenses are like, weighed against images whose errors are shared.
+The prior over real lenses, combined anew with images whose errors are correlated.
 
 The adjustment weighs what is known beforehand as if every observation erred by itself. Where
 tracks, regions or stretches of the way share errors, the images know less than that, and a lens
@@ -35,14 +35,15 @@ import numpy as np
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Estimates that move by less than this share of their sigmas stay.
 LEAST_SHIFT = 0.02
 #: Least variance of what is left of a covariance, of its own, against rounding.
 LEAST_VARIANCE = 1e-10
-#: For path and points, once the lens has moved.
-ITERATIONS, TOLERANCE = 15, 0.05
+#: Of path and points at most, once the lens has moved.
+ITERATIONS = 15
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def moved_lens(fit: RobustFit, state: SceneState, step: np.ndarray, residual: np
                      bundle.sigma_px)
     if not np.isfinite(held.cost(moved)):
         return None
-    moved = held.optimise(moved, iterations=ITERATIONS, tolerance=TOLERANCE)
+    moved = held.optimise(moved, iterations=ITERATIONS, tolerance=TO_COMPARE)
     return moved, held.residuals(moved)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-All points lie before the camera: what that tells of a lens that the images leave open.
+The constraint that points lie ahead of the camera, for a lens that the images leave open.
 
 Beside large rotations a short lever leaves a valley, along which the focal length grows and all
 points move away, through infinity and on behind the camera. Images alone do not say where in it

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A lens that is decentred by more than most: or is its glass a prism?
+Variance for thin-prism distortion, where a lens seems decentred by more than most are.
 
 A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992), nearly
 as decentring p₁, p₂ and a step of the principal point do together. No file of ROS has names for

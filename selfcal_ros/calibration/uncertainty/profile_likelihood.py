@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Where the optimum lies in a long valley, a covariance from its curvature there is too small.
+The profile likelihood of a weak parameter, whose sigma the curvature understates.
 
-With little parallax, little turning or circular motion the cost rises so slowly along one bent
-curve (focal length against angles, principal point against axis) that the quadratic at the
-optimum says nothing of the far end. So the parameter that is determined worst is moved by some
-of its sigmas, everything else follows, and what the cost does there replaces the quadratic along
-the curve (profile likelihood; Venzon and Moolgavkar 1988).
+With little parallax, little turning or circular motion the optimum lies in a long, curved valley:
+the cost rises so slowly along it (focal length against angles, principal point against axis) that
+the quadratic at the optimum says nothing of the far end. So the worst determined parameter is
+moved by some of its sigmas, and all others are optimised anew. The cost there replaces the
+quadratic along the valley (profile likelihood; Venzon and Moolgavkar 1988).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.tolerances import TO_ESTIMATE
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 
@@ -161,11 +162,12 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
         bundle = fit.bundle.with_priors(
             fit.bundle.priors.updated({name: Prior(start.lens[name], 0.0)}))
         moved = bundle.optimise(bundle.refine_points(start), iterations=30,
-                                tolerance=0.02 * fraction)
+                                tolerance=TO_ESTIMATE * fraction)
         # a fact with a sigma counts, also where it is about the parameter that was moved
         rise = fit.bundle.cost(moved) - before
         if rise < -BETTER_BY:
-            better = replace(fit, state=fit.bundle.optimise(moved, iterations=50, tolerance=0.02))
+            better = replace(fit, state=fit.bundle.optimise(moved, iterations=50,
+                                                            tolerance=TO_ESTIMATE))
             if better.cost < before - BETTER_BY:
                 return better
         # of one sigma: the quadratic rises with the square of the displacement

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Effects that are small and many: how large they are follows from the images.
+The standard deviation of many small effects, estimated from the images themselves.
 
 The coefficients of such effects are independent and Gaussian. Their standard deviation is the one
 under which the residuals are most probable (type-II maximum likelihood; Bishop 2006, 3.5).

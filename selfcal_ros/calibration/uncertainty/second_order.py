@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What a covariance misses to second order: the ellipsoid at the estimate is tilted.
+Second-order terms of the covariance, from the parameter-effects curvature of the model.
 
 Where parameters trade against each other (k1 against k2, focal length against angles) the cost is
 thin across a surface that is bent. The ellipsoid at the estimate is tangent to that surface, and

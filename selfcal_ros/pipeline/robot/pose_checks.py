@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Poses of a body as they were written, made into `BodyPoses`, or refused in a sentence."""
+"""Checks poses of a body as they were written, and converts them to `BodyPoses`."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def _check_overlap(poses: BodyPoses | AngularRates, images: FrameSource,
         return
     if instants is not None:
         begin, end = min(instants.values()), max(instants.values())
-    elif images.clock not in ('header', 'log', 'video'):
+    elif not images.has_own_clock:
         raise InputError(f'The images of {images.path} do not say when they were taken, and the '
                          'poses of the robot are by stamps; give them a column image (file '
                          'names) or frame (0, 1, ...).')

@@ -129,7 +129,7 @@ def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses | AngularR
 
 def has_clock(images: FrameSource) -> bool:
     """Tell whether the images of a recording say when they were taken."""
-    return images.clock in ('header', 'log', 'video') or instants_by_name(images) is not None
+    return images.has_own_clock or instants_by_name(images) is not None
 
 
 def instants_by_name(images: FrameSource) -> dict[int, int] | None:

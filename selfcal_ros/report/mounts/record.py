@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
 from selfcal_ros.calibration.mount import Floor, Mount, NAMES, PLACE, TURN
 from selfcal_ros.findings.finding import KINDS
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.values.parameter_status import Status
 
 #: The degrees of freedom of the pose.
 POSE = (*PLACE, *TURN)
@@ -155,7 +156,7 @@ def mount_from_dict(stored: dict | None) -> Mount | NoEstimate | None:
         raise ValueError(f'the mount has the shape {matrix.shape}')
     return Mount(
         frame=str(stored['frame']), T_body_camera=matrix, covariance=covariance,
-        status={name: str(stored['status'][name]) for name in NAMES},
+        status={name: cast(Status, stored['status'][name]) for name in NAMES},
         scale=_number(stored['scale']), time_offset_s=_number(stored['time_offset_s']),
         missing={str(name): str(text) for name, text in stored.get('missing', {}).items()},
         pose_count=int(stored['poses']), outlier_count=int(stored['outliers']),
