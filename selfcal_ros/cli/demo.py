@@ -16,10 +16,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 import json
 from pathlib import Path
+import shutil
 import sys
 
 from selfcal_ros.cli.force import add_force_argument, output_folder
@@ -78,6 +81,22 @@ def check_recording(bag: Path, no_nodes: bool) -> None:
         pass
     if not no_nodes:
         ImageRecording(bag).close()
+
+
+@contextmanager
+def log_folder(folder: Path) -> Iterator[Path]:
+    """Name the folder for the logs of nodes; one that is new goes with an interrupted demo."""
+    log = folder / 'log'
+    is_new = not log.exists()
+    try:
+        yield log
+    except Exception:
+        raise
+    except BaseException:
+        # a signal: nodes that were stopped have nothing to tell
+        if is_new:
+            shutil.rmtree(log, ignore_errors=True)
+        raise
 
 
 def run(args: argparse.Namespace) -> int:
@@ -151,9 +170,10 @@ def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profil
     """Return the result of the nodes, None if they came to none."""
     from selfcal_ros.pipeline.child_process import run_module
     from selfcal_ros.report.result_json import result_from_dict
-    status = run_module('selfcal_ros.nodes.replay_supervisor',
-                        [str(bag), '--output', str(folder), '--rate', str(rate), '--calibrator',
-                         calibrator], own_graph(profile, folder / 'log'))
+    with log_folder(folder) as log:
+        status = run_module('selfcal_ros.nodes.replay_supervisor',
+                            [str(bag), '--output', str(folder), '--rate', str(rate),
+                             '--calibrator', calibrator], own_graph(profile, log))
     if status not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
     try:

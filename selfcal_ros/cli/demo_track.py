@@ -98,14 +98,16 @@ def _truth(bag: Path) -> dict:
 
 def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
     """Return the poses of the nodes; none if they came to none."""
+    from selfcal_ros.cli.demo import log_folder
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.child_process import run_module
-    environment = own_graph(shared_file('config/fastdds.xml'), folder / 'log')
     left = folder / 'node_poses.json'
     left.unlink(missing_ok=True)
     words = [bag, '--output', folder, '--model', model, '--camera', camera, '--start-pose',
              start_pose, '--rate', rate]
-    run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words), environment)
+    with log_folder(folder) as log:
+        run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words),
+                   own_graph(shared_file('config/fastdds.xml'), log))
     try:
         return json.loads(left.read_text(encoding='utf-8'))
     except (OSError, ValueError):
