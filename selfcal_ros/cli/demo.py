@@ -148,7 +148,9 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
         print(f'\n{text}')
     more, left_out = outputs.write(
         direct, text, str(bag), tracks, lambda: open_source(bag, colour=True))
-    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.')
+    # or the figures of the page look like an error beside those of the camera file
+    source = ' The report is of the calibration straight from the bag.' if result else ''
+    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.{source}')
     for one in left_out:
         print(one.sentence, file=sys.stderr)
     return status_of(bool(result or direct), left_out)
