@@ -111,10 +111,11 @@ class MeshModel(WireframeModel):
         vertices, triangles, lost, twice = _clean(vertices, triangles,
                                                   same_place(vertices, _SAME))
         if lost:
-            remarks.append(_counted('{n} face{n:plural} without area {n:was|were} left out.', lost))
+            remarks.append(_counted('{n} face{n:plural} without area {n:was|were} left out.',
+                                    lost))
         if twice:
-            remarks.append(_counted('{n} face{n:plural} that {n:is|are} given twice {n:was|were} left '
-                                    'out once.', twice))
+            remarks.append(_counted('{n} face{n:plural} that {n:is|are} given twice {n:was|were} '
+                                    'left out once.', twice))
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
         triangles, turned = oriented(vertices, triangles)
@@ -123,8 +124,8 @@ class MeshModel(WireframeModel):
                                     'round.', turned))
         open_edges = int((edges_of(triangles)[1] == 1).sum())
         if open_edges:
-            remarks.append(_counted('The mesh is open: {n} edge{n:plural} {n:bounds|bound} one face '
-                                    'only.', open_edges))
+            remarks.append(_counted('The mesh is open: {n} edge{n:plural} {n:bounds|bound} one '
+                                    'face only.', open_edges))
         if len(triangles) > MOST_FACES:
             before = len(triangles)
             vertices, triangles, off = simplified(vertices, triangles, MOST_FACES)

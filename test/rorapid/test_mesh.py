@@ -103,7 +103,7 @@ def test_what_is_wrong_with_a_file_is_one_sentence(tmp_path, text, words):
 def test_an_absurd_size_with_a_stated_scale_asks_for_another(tmp_path):
     path = tmp_path / 'bad.obj'
     path.write_text('v 0 0 0\nv 0.3 0 0\nv 0 0.4 0\nf 1 2 3\n')
-    with pytest.raises(InputError, match='0.0005 m large with --model-scale 0.001; choose another'):
+    with pytest.raises(InputError, match='0.0005 m large with --model-scale 0.001; choose'):
         read_model(path, scale=0.001)
 
 
