@@ -23,6 +23,7 @@ from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.errors import InputError
 
 RECORDING = 'bags/tracked_object'
 
@@ -39,6 +40,10 @@ def run(args: argparse.Namespace) -> int:
         '.model.yaml', '.camera.yaml', '.pos'))
     no_nodes = without_nodes(args, 'tracking straight in the bag')
     check_recording(bag, no_nodes)
+    for path in (model, camera_file, start_file):
+        if not path.is_file():
+            raise InputError(f'{path} is not there; the recording of an object needs its '
+                             '.model.yaml, .camera.yaml and .pos beside it.')
     camera, _ = read_camera_yaml(camera_file)
     target = Target(read_model(model), read_start(str(start_file), None, camera))
     with output_folder(args.output_dir):

@@ -80,13 +80,16 @@ class ModelRequest:
 
     def __post_init__(self):
         """Check the scale and the region."""
-        if (self.length_m is None) == (self.baseline_m is None):
+        if self.length_m is not None and self.baseline_m is not None:
+            raise ArgumentError('A length of the object and how far the camera moved both tell '
+                                'how large it is; state one of them.')
+        if self.length_m is None and self.baseline_m is None:
             raise ArgumentError('Two images do not tell how large an object is: state a length '
                                 'of the object, or how far the camera moved.')
         for value, what in ((self.length_m, 'length'), (self.baseline_m, 'distance moved')):
             if value is not None and not 0 < value < 1e6:
-                raise ArgumentError(f'The {what} must be a positive number of metres, '
-                                    f'not {value:g}.')
+                raise ArgumentError(f'The {what} must be more than 0 and less than a million '
+                                    f'metres, not {value:g}.')
         if self.between is not None and self.length_m is None:
             raise ArgumentError('Two vertices are named, but not the length between them.')
         if self.region is not None and not (self.region[0] < self.region[2]

@@ -70,8 +70,9 @@ def test_no_object_is_status_1_with_a_reason(capsys):
 
 
 @pytest.mark.parametrize('words, says', [
-    ([], 'how large'), (['--length', '0.1', '--baseline', '1'], 'how large'),
-    (['--length', '-1'], 'positive'), (['--length', '0.1', '--images', '0', '7'], 'no image 7'),
+    ([], 'how large'), (['--length', '0.1', '--baseline', '1'], 'state one of them'),
+    (['--length', '-1'], 'more than 0'), (['--length', '1e12'], 'less than a million metres'),
+    (['--length', '0.1', '--images', '0', '7'], 'no image 7'),
     (['--length', '0.1', '--images', '1', '1'], 'different'),
     (['--length', '0.1', '--between', 'a', 'b'], "no vertex 'a'"),
     (['--length', '0.1', '--output', 'it.stl'], '.cao or .yaml'),

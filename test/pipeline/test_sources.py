@@ -333,7 +333,7 @@ def test_wrong_folders(tmp_path):
     assert str(inner) in refusal(tmp_path)
     (tmp_path / 'notes.txt').write_text('x')
     shutil.rmtree(inner)
-    assert 'notes.txt' in refusal(tmp_path)
+    assert 'but only notes.txt.' in refusal(tmp_path)
 
 
 def test_unreadable_images(tmp_path):

@@ -69,7 +69,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
     """
     data = read_limited(path, _LARGEST)
     if not data:
-        raise InputError(f'{path} is empty.')
+        raise InputError(f'{path} is empty; give another file.')
     try:
         vertices, triangles = _READERS[path.suffix.lower()](data)
     except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
