@@ -69,6 +69,7 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
         raise ArgumentError('Say where the object is in the first image: --init '
                             '"tx ty tz rx ry rz", or --init FILE.init with --clicks; or have it '
                             f'sought: --init {AUTO}.')
+    numbers: list[float] | None
     try:
         numbers = [float(word) for word in init.replace(',', ' ').split()]
     except ValueError:
