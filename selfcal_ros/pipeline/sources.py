@@ -121,4 +121,6 @@ def check_kind(path: str | Path) -> None:
         return
     if suffix in IMAGE_SUFFIXES:
         raise InputError(f'{path} is a single image; give the folder that holds the images.')
+    if path.name == 'metadata.yaml' and is_bag_folder(path.parent):
+        raise InputError(f'{path} is a part of a bag; give its folder, {path.parent}.')
     raise InputError(f'{path} is of no known kind; {_EXPECTED}.')
