@@ -165,6 +165,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_options(args: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     from selfcal_ros.errors import ArgumentError
+    if args.report and args.report.suffix.lower() not in ('', '.html', '.htm'):
+        raise ArgumentError(f'The report {args.report} is one page, and must be named .html.')
     known = bool(args.object) or args.track
     if known and args.motion not in ('auto', 'known-object'):
         option = '--track' if args.track else '--object'
@@ -209,7 +211,9 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         from selfcal_ros.cli.outputs import Outputs
         from selfcal_ros.cli.result_text import result_text
         from selfcal_ros.pipeline.calibrate_input import calibrate_input
-        from selfcal_ros.pipeline.sources import open_source
+        from selfcal_ros.pipeline.sources import check_kind, open_source
+        # a camera file in place of a recording would be refused as an output that is an input
+        check_kind(path)
         outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
                           report=args.report, scene=SceneOutputs.of(args),
                           camera_name=args.camera_name, seed=args.seed,

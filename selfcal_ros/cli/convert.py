@@ -198,7 +198,12 @@ def _convert_images(args: argparse.Namespace, excerpt) -> int:
     """Turn images into a bag."""
     from selfcal_ros.pipeline.bag_writer import write_image_bag
     from selfcal_ros.pipeline.sources import open_source
+    from selfcal_ros.report.camera_files.formats import CAMERA_SUFFIXES
+    from selfcal_ros.report.not_a_camera import refuse_other_kinds
     if args.output.suffix and args.output.suffix not in ('.mcap', '.db3'):
+        if args.output.suffix.lower() in CAMERA_SUFFIXES:
+            # who names a camera file wants a camera
+            refuse_other_kinds(args.input)
         raise InputError(f'{args.output} is no name for a bag folder; leave {args.output.suffix} '
                          'away.')
     read, written = _topics(args)

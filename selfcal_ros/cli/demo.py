@@ -16,10 +16,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 import json
 from pathlib import Path
+import shutil
 import sys
 
 from selfcal_ros.cli.force import add_force_argument, output_folder
@@ -80,6 +83,22 @@ def check_recording(bag: Path, no_nodes: bool) -> None:
         ImageRecording(bag).close()
 
 
+@contextmanager
+def log_folder(folder: Path) -> Iterator[Path]:
+    """Name the folder for the logs of nodes; one that is new goes with an interrupted demo."""
+    log = folder / 'log'
+    is_new = not log.exists()
+    try:
+        yield log
+    except Exception:
+        raise
+    except BaseException:
+        # a signal: nodes that were stopped have nothing to tell
+        if is_new:
+            shutil.rmtree(log, ignore_errors=True)
+        raise
+
+
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     if args.recording == 'object':
@@ -129,7 +148,9 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
         print(f'\n{text}')
     more, left_out = outputs.write(
         direct, text, str(bag), tracks, lambda: open_source(bag, colour=True))
-    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.')
+    # or the figures of the page look like an error beside those of the camera file
+    source = ' The report is of the calibration straight from the bag.' if result else ''
+    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.{source}')
     for one in left_out:
         print(one.sentence, file=sys.stderr)
     return status_of(bool(result or direct), left_out)
@@ -151,9 +172,10 @@ def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profil
     """Return the result of the nodes, None if they came to none."""
     from selfcal_ros.pipeline.child_process import run_module
     from selfcal_ros.report.result_json import result_from_dict
-    status = run_module('selfcal_ros.nodes.replay_supervisor',
-                        [str(bag), '--output', str(folder), '--rate', str(rate), '--calibrator',
-                         calibrator], own_graph(profile, folder / 'log'))
+    with log_folder(folder) as log:
+        status = run_module('selfcal_ros.nodes.replay_supervisor',
+                            [str(bag), '--output', str(folder), '--rate', str(rate),
+                             '--calibrator', calibrator], own_graph(profile, log))
     if status not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
     try:

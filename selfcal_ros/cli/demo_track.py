@@ -23,6 +23,7 @@ from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.errors import InputError
 
 RECORDING = 'bags/tracked_object'
 
@@ -39,6 +40,10 @@ def run(args: argparse.Namespace) -> int:
         '.model.yaml', '.camera.yaml', '.pos'))
     no_nodes = without_nodes(args, 'tracking straight in the bag')
     check_recording(bag, no_nodes)
+    for path in (model, camera_file, start_file):
+        if not path.is_file():
+            raise InputError(f'{path} is not there; the recording of an object needs its '
+                             '.model.yaml, .camera.yaml and .pos beside it.')
     camera, _ = read_camera_yaml(camera_file)
     target = Target(read_model(model), read_start(str(start_file), None, camera))
     with output_folder(args.output_dir):
@@ -98,14 +103,16 @@ def _truth(bag: Path) -> dict:
 
 def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
     """Return the poses of the nodes; none if they came to none."""
+    from selfcal_ros.cli.demo import log_folder
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.child_process import run_module
-    environment = own_graph(shared_file('config/fastdds.xml'), folder / 'log')
     left = folder / 'node_poses.json'
     left.unlink(missing_ok=True)
     words = [bag, '--output', folder, '--model', model, '--camera', camera, '--start-pose',
              start_pose, '--rate', rate]
-    run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words), environment)
+    with log_folder(folder) as log:
+        run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words),
+                   own_graph(shared_file('config/fastdds.xml'), log))
     try:
         return json.loads(left.read_text(encoding='utf-8'))
     except (OSError, ValueError):

@@ -118,7 +118,10 @@ class SentenceParser(argparse.ArgumentParser):
         self.exit(EXIT_INPUT, complaint(self.prog, sentence) + '\n')
 
     def _in_full(self, message: str) -> str:
-        """Say which options a word that is short for several may mean, and what they take."""
+        """Say what argparse says in words of a program, or too briefly, in those of a user."""
+        message = re.sub(r"invalid (int|float) value: ('.*')",
+                         lambda one: f'{one[2]} is no {"whole " * (one[1] == "int")}number',
+                         message, flags=re.DOTALL)
         found = re.match(r'ambiguous option: (\S+?)(?:=.*)? could match (.*)', message, re.DOTALL)
         if not found:
             return message

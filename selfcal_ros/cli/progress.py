@@ -96,7 +96,9 @@ class Progress:
 
     def _end_stage(self, now: float) -> None:
         if self._told:
-            self._say(now, f'{self._text}: done in {_duration(now - self._began)}')
+            took = _duration(now - self._began)
+            # no figure where it would be zero
+            self._say(now, f'{self._text}: done' + (f' in {took}' if took != '0.0 s' else ''))
         self._told = False
 
     def _left(self, now: float, done: float, total: float | None, whole_s: float | None) -> str:

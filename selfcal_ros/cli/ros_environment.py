@@ -18,6 +18,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 import os
 from pathlib import Path
+import sys
+
+from selfcal_ros.cli.colours import wants_colour
 
 #: Where Fast DDS looks for its settings: up to version 2 (Jazzy), and from version 3 on (Kilted).
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -37,4 +40,7 @@ def own_graph(profile: Path, log: Path) -> Mapping[str, str]:
     environment = {**ros_environment(profile), **dict.fromkeys(PROFILES, str(profile)),
                    'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
     environment.setdefault('ROS_LOG_DIR', str(log.absolute()))
+    if wants_colour(sys.stderr):
+        # what nodes say comes to the terminal through a pipe
+        environment.setdefault('RCUTILS_COLORIZED_OUTPUT', '1')
     return environment

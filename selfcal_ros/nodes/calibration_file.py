@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+import os
 from pathlib import Path
 import re
 from typing import Any
@@ -59,6 +60,13 @@ class CalibrationFile:
         self._saved: Calibration | None = None
         self._saved_at: datetime | None = None
         self.path = path_of(output or '${ROS_HOME}/camera_info/${NAME}.yaml', camera_name)
+        # before the drive, and not when its calibration is to be written
+        if os.path.isdir(self.path):
+            raise ArgumentError(f'{self.path} is a folder; give the name of a file in it.')
+        there = next(filter(os.path.exists, self.path.absolute().parents))
+        if not os.path.isdir(there):
+            raise ArgumentError(f'{self.path} cannot be written: {there} is not a folder; name '
+                                'another file.')
 
     def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
         """

@@ -98,7 +98,9 @@ class CameraInfoPublisher(Node):
         try:
             self._camera, name = read_copied_camera(self._file.path)
         except InputError as error:
-            self.get_logger().error(f'{error} The last calibration stays in force.')
+            self.get_logger().error(f'{error} K is zero until it can be read.' if
+                                    self._camera is None else
+                                    f'{error} The last calibration stays in force.')
             return
         if name not in ('', self._file.camera_name):
             self.get_logger().warning(f'{self._file.path} is of the camera {name!r}, not of '

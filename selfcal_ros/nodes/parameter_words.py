@@ -30,6 +30,8 @@ _WORDS = (
     (r'--(?:lens|distortion)\b', 'the parameter distortion'),
     (r'--(focal|shutter) (\w+)', r'\1:=\2'),
     (r'--camera-model (\w+)', r'camera_model:=\1'),
+    (r'--model-scale ([\d.e+-]*\d)', r'model_scale:=\1'),
+    (r'--model-scale', 'the parameter model_scale'),
     (r'--init FILE\.init with --clicks', 'start_pose:=FILE.pos'),
     (r'--init (")', r'start_pose:=\1'),
     (r'--init\b', 'the parameter start_pose'),

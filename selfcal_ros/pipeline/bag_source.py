@@ -374,7 +374,7 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise InputError(f'{path} cannot be read: {error.strerror}.') from None
     if size == 0:
-        raise InputError(f'{path} is empty (0 bytes).')
+        raise InputError(f'{path} is empty (0 bytes); give another file.')
     if not head.startswith(_MAGIC[path.suffix]):
         raise InputError(f'{path} is not {_KIND[path.suffix]}, although its name ends in '
                          f'{path.suffix}.')

@@ -28,7 +28,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from typing import IO
 
 #: A process that does not end by itself gets so long before it is killed, seconds.
 GRACE_S = 5.0
@@ -37,7 +39,8 @@ _SET_PARENT_DEATH_SIGNAL = 1
 
 
 def start_module(module: str, arguments: Iterable[str] = (),
-                 environment: Mapping[str, str] | None = None) -> subprocess.Popen:
+                 environment: Mapping[str, str] | None = None,
+                 stderr: int | None = None) -> subprocess.Popen:
     """
     Start `python -m module`.
 
@@ -47,6 +50,8 @@ def start_module(module: str, arguments: Iterable[str] = (),
     arguments : iterable of str
     environment : mapping of str to str, optional
         By default that of this process.
+    stderr : int, optional
+        As of `subprocess.Popen`; by default that of this process.
 
     Returns
     -------
@@ -55,7 +60,7 @@ def start_module(module: str, arguments: Iterable[str] = (),
 
     """
     return subprocess.Popen([sys.executable, '-m', __name__, str(os.getpid()), module, *arguments],
-                            env=environment, start_new_session=True)
+                            env=environment, stderr=stderr, start_new_session=True)
 
 
 def end_processes(processes: Iterable[subprocess.Popen], grace_s: float = GRACE_S) -> None:
@@ -90,6 +95,9 @@ def run_module(module: str, arguments: Iterable[str] = (),
     """
     Run `python -m module` to its end; whatever breaks that off ends the process.
 
+    What it and its own processes write to standard error is passed on, until it is broken off:
+    libraries of C that are ended in the middle of something complain.
+
     Parameters
     ----------
     module : str
@@ -102,13 +110,30 @@ def run_module(module: str, arguments: Iterable[str] = (),
         Its exit status; negative: the signal that ended it.
 
     """
-    process = start_module(module, arguments, environment)
+    process = start_module(module, arguments, environment, subprocess.PIPE)
+    assert process.stderr is not None
+    broken_off = threading.Event()
+    relay = threading.Thread(target=_pass_on, args=(process.stderr, broken_off), daemon=True)
+    relay.start()
     try:
-        return process.wait()
+        status = process.wait()
+        # a process that it has left behind may keep the pipe open
+        relay.join(GRACE_S)
+        return status
     except BaseException:
+        broken_off.set()
         # it ends its own processes first, and may need GRACE_S for that
         end_processes([process], 2 * GRACE_S)
         raise
+
+
+def _pass_on(stream: IO[bytes], broken_off: threading.Event) -> None:
+    """Write lines to our standard error; those that come later are read, and not written."""
+    with stream:
+        for line in stream:
+            if not broken_off.is_set():
+                with suppress(OSError):
+                    print(line.decode(errors='replace'), end='', file=sys.stderr, flush=True)
 
 
 def _end_with(parent: int) -> None:

@@ -95,14 +95,15 @@ class ImageFolderSource(FrameSource):
     def _nothing_here(self, entries) -> str:
         """Say what the folder holds instead of images."""
         if not entries:
-            return f'The folder {self.path} is empty.'
+            return f'The folder {self.path} is empty; give one that holds images or a bag.'
         inner = next((e for e in sorted(entries) if e.is_dir() and any(
             f.suffix.lower() in IMAGE_SUFFIXES for f in e.iterdir())), None)
         if inner is not None:
             return f'The folder {self.path} holds no images itself; give {inner} instead.'
         names = ', '.join(sorted(e.name for e in entries)[:4])
+        others = 'only' if len(entries) == 1 else f'{len(entries)} other entries, such as'
         return (f'The folder {self.path} holds no images ({", ".join(IMAGE_SUFFIXES)}) and no '
-                f'rosbag2 recording, but {len(entries)} other entries, such as {names}.')
+                f'rosbag2 recording, but {others} {names}.')
 
     def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the images in natural order."""
@@ -167,7 +168,7 @@ class VideoSource(FrameSource):
     def _open(self):
         """Return an opened cv2.VideoCapture."""
         if not self.path.stat().st_size:
-            raise InputError(f'{self.path} is empty (0 bytes).')
+            raise InputError(f'{self.path} is empty (0 bytes); give another file.')
         # FFmpeg's own complaint would stand before our sentence
         os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
         try:

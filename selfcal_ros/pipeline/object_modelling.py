@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.findings.phrase import put_in_words
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
@@ -79,13 +80,16 @@ class ModelRequest:
 
     def __post_init__(self):
         """Check the scale and the region."""
-        if (self.length_m is None) == (self.baseline_m is None):
+        if self.length_m is not None and self.baseline_m is not None:
+            raise ArgumentError('A length of the object and how far the camera moved both tell '
+                                'how large it is; state one of them.')
+        if self.length_m is None and self.baseline_m is None:
             raise ArgumentError('Two images do not tell how large an object is: state a length '
                                 'of the object, or how far the camera moved.')
         for value, what in ((self.length_m, 'length'), (self.baseline_m, 'distance moved')):
             if value is not None and not 0 < value < 1e6:
-                raise ArgumentError(f'The {what} must be a positive number of metres, '
-                                    f'not {value:g}.')
+                raise ArgumentError(f'The {what} must be more than 0 and less than a million '
+                                    f'metres, not {value:g}.')
         if self.between is not None and self.length_m is None:
             raise ArgumentError('Two vertices are named, but not the length between them.')
         if self.region is not None and not (self.region[0] < self.region[2]
@@ -114,7 +118,12 @@ class ModelledObject:
         """Pose of the object in the first image, as `selfcal track --init` takes it."""
         pose = np.concatenate([self.acquired.translation,
                                rotation_vector(self.acquired.rotation)])
-        return ' '.join(f'{value:.6g}' for value in pose)
+        # far finer than a start must be, so that a zero is not some 1e-06
+        step = 10.0 ** np.floor(np.log10(1e-3 * np.linalg.norm(self.acquired.translation)))
+        pose[:3] = step * np.round(pose[:3] / step)
+        pose[3:] = np.round(pose[3:], 4)
+        # without the sign of a zero
+        return ' '.join(f'{value:.6g}' for value in pose + 0.0)
 
     def text(self) -> str:
         """Return what was made, for a person."""
@@ -123,15 +132,18 @@ class ModelledObject:
         bare = sum(not faces for faces in model.line_faces)
         first, second = self.images
         lines = [
-            f'Model of {len(model.vertices)} vertices, {len(model.lines)} lines and '
-            f'{len(model.faces)} faces, {1000 * _across(model.vertices):.4g} mm across, from '
-            f'images {first} and {second}.',
+            put_in_words('Model of {vertices} vertices, {lines} line{lines:plural} and {faces} '
+                         'face{faces:plural}, ', {'vertices': len(model.vertices), 'lines': len(
+                             model.lines), 'faces': len(model.faces)}) +
+            f'{1000 * _across(model.vertices):.4g} mm across, from images {first} and {second}.',
             f'The vertices miss a pure translation by {structure.noise_px:.2g} px; between the '
             f'images it was {1000 * np.linalg.norm(structure.moved):.4g} mm.',
             f'Their places in the model are known to {np.median(sigma):.2g} mm (median) and '
             f'{sigma.max():.2g} mm (worst), if pixels are to {structure.sigma_px:.2g} px.']
         if bare and model.faces:
-            lines.append(f'{bare} lines belong to no face; nothing hides what is behind them.')
+            lines.append(put_in_words(
+                '{n} line{n:plural} {n:belongs|belong} to no face; nothing hides what is behind '
+                '{n:it|them}.', {'n': bare}))
         if not model.faces:
             lines.append('No lines close to a face; nothing hides what is behind the object.')
         lines.append(f'Where it is in image {first}: --init "{self.start}"')

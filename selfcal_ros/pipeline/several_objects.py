@@ -20,6 +20,7 @@ from pathlib import Path
 import re
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.phrase import put_in_words
 
 
 def several(text: str) -> list[str]:
@@ -80,6 +81,8 @@ def parted_starts(text: str, count: int) -> list[str]:
     """
     words = [word.strip() for word in text.split(';')] if count > 1 else [text.strip()]
     if len(words) != count:
-        raise ArgumentError(f'--init has {len(words)} poses for {count} objects; part them by '
-                            'semicolons, in the order of the models.')
+        raise ArgumentError(put_in_words(
+            '--init has {poses} pose{poses:plural} for {objects} object{objects:plural}; part '
+            'them by semicolons, in the order of the models.',
+            {'poses': len(words), 'objects': count}))
     return words

@@ -83,6 +83,7 @@ def open_source(path: str | Path, topic: str | None = None,
     if not folder and not file:
         missing = 'is neither a file nor a folder' if path.exists() else 'does not exist'
         raise InputError(f'{path} {missing}; {_EXPECTED}.')
+    check_kind(path)
     suffix = path.suffix.lower()
     is_bag = bag or file and (path.suffix in BAG_SUFFIXES or is_compressed_file(path))
     if topic and not is_bag:
@@ -93,11 +94,33 @@ def open_source(path: str | Path, topic: str | None = None,
         return ImageFolderSource(path, image_size, colour, excerpt)
     if suffix in VIDEO_SUFFIXES:
         return VideoSource(path, image_size, colour, excerpt)
-    if suffix == '.csv':
-        if not excerpt.is_whole:
-            raise InputError(f'{path} is a table of tracks, and a start, a duration and every '
-                             'how many are for images; leave them out.')
-        return TracksSource(path, image_size)
+    if not excerpt.is_whole:
+        raise InputError(f'{path} is a table of tracks, and a start, a duration and every '
+                         'how many are for images; leave them out.')
+    return TracksSource(path, image_size)
+
+
+def check_kind(path: str | Path) -> None:
+    """
+    Refuse a file that is no recording, by its name alone; what does not exist passes.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    InputError
+        If it is a file of no kind that `open_source` knows.
+
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if path.suffix in BAG_SUFFIXES or suffix in (*VIDEO_SUFFIXES, '.csv') or not path.is_file() \
+            or is_compressed_file(path):
+        return
     if suffix in IMAGE_SUFFIXES:
         raise InputError(f'{path} is a single image; give the folder that holds the images.')
+    if path.name == 'metadata.yaml' and is_bag_folder(path.parent):
+        raise InputError(f'{path} is a part of a bag; give its folder, {path.parent}.')
     raise InputError(f'{path} is of no known kind; {_EXPECTED}.')

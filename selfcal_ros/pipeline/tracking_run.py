@@ -16,7 +16,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+import os
 from pathlib import Path
+import re
 
 import numpy as np
 
@@ -67,10 +69,13 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
         raise ArgumentError('Say where the object is in the first image: --init '
                             '"tx ty tz rx ry rz", or --init FILE.init with --clicks; or have it '
                             f'sought: --init {AUTO}.')
+    numbers: list[float] | None
     try:
         numbers = [float(word) for word in init.replace(',', ' ').split()]
     except ValueError:
-        numbers = None
+        # several words of which the first begins a number are no name, unless there is such a file
+        meant = re.match(r'\s*[-+.]*\d\S*\s+\S', init) and not os.path.exists(init)
+        numbers = [] if meant else None
     if numbers is not None:
         if len(numbers) != 6 or not np.isfinite(numbers).all():
             raise ArgumentError('--init takes six finite numbers "tx ty tz rx ry rz" (metres, '

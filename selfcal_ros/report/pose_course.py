@@ -133,5 +133,5 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
             else 'the median step between views is 1')
     return Drawing('course', 'Position and angles over time', f'In the frame of the first view; '
                    f'{unit}. Yaw is positive to the left, pitch downwards, roll to the right '
-                   '(REP 103). Photographs jump; a robot that drives does not, and a course that '
-                   'it did not take is a wrong calibration.', tuple(panels), 'scene')
+                   '(REP 103). A robot that drives goes smoothly, photographs may jump. If the '
+                   'camera did not go this way, the calibration is wrong.', tuple(panels), 'scene')

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.report.not_a_camera import refuse_other_kinds
 from selfcal_ros.values.foreign_files import load_foreign_yaml, read_limited, SAFE_LOADER
 
 #: A camera file is far smaller; whatever is larger is something else.
@@ -40,9 +41,10 @@ def read_bytes(path, limit: int = MAX_BYTES) -> bytes:
     Raises
     ------
     InputError
-        If it cannot be read or is far too large for a camera file.
+        If it cannot be read, is of another kind or far too large for a camera file.
 
     """
+    refuse_other_kinds(path)
     return read_limited(path, limit)
 
 

@@ -55,21 +55,20 @@ def read_limited(path: str | Path, limit: int, what: str = '') -> bytes:
     name = f'{what} {path}'.strip()
     try:
         # a pipe that nobody writes to would be waited for
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0)
-                             | getattr(os, 'O_BINARY', 0))
-        with open(descriptor, 'rb') as stream:
-            mode = os.fstat(descriptor).st_mode
+        with open(path, 'rb', opener=lambda name, flags: os.open(
+                name, flags | getattr(os, 'O_NONBLOCK', 0))) as stream:
+            mode = os.fstat(stream.fileno()).st_mode
             # <(command) of a shell is a pipe that somebody writes to
             handed = stat.S_ISFIFO(mode) and str(path).startswith(('/dev/', '/proc/'))
             if handed:
-                os.set_blocking(descriptor, True)
-            elif stat.S_ISDIR(mode):
-                raise InputError(f'{name} cannot be read: Is a directory; name a file in it.')
+                os.set_blocking(stream.fileno(), True)
             elif not stat.S_ISREG(mode):
                 raise InputError(f'{name} is no file but a device or a pipe; give a file.')
             raw = stream.read(limit + 1)
     except FileNotFoundError as error:
         raise InputError(f'{name} cannot be read: {error.strerror}; check the path.') from None
+    except IsADirectoryError as error:
+        raise InputError(f'{name} cannot be read: {error.strerror}; name a file in it.') from None
     except (OSError, ValueError) as error:
         why = getattr(error, 'strerror', None) or error
         raise InputError(f'{name} cannot be read: {why}.') from None

@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.phrase import put_in_words
 from selfcal_ros.values.mesh_orientation import (
     borders, edges_of, face_normals, oriented, unit)
 from selfcal_ros.values.mesh_simplified import simplified
@@ -110,17 +111,21 @@ class MeshModel(WireframeModel):
         vertices, triangles, lost, twice = _clean(vertices, triangles,
                                                   same_place(vertices, _SAME))
         if lost:
-            remarks.append(f'{lost} faces without area were left out.')
+            remarks.append(_counted('{n} face{n:plural} without area {n:was|were} left out.',
+                                    lost))
         if twice:
-            remarks.append(f'{twice} faces that are given twice were left out once.')
+            remarks.append(_counted('{n} face{n:plural} that {n:is|are} given twice {n:was|were} '
+                                    'left out once.', twice))
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
         triangles, turned = oriented(vertices, triangles)
         if turned:
-            remarks.append(f'{turned} faces that looked inwards were turned round.')
+            remarks.append(_counted('{n} face{n:plural} that looked inwards {n:was|were} turned '
+                                    'round.', turned))
         open_edges = int((edges_of(triangles)[1] == 1).sum())
         if open_edges:
-            remarks.append(f'The mesh is open: {open_edges} edges bound one face only.')
+            remarks.append(_counted('The mesh is open: {n} edge{n:plural} {n:bounds|bound} one '
+                                    'face only.', open_edges))
         if len(triangles) > MOST_FACES:
             before = len(triangles)
             vertices, triangles, off = simplified(vertices, triangles, MOST_FACES)
@@ -188,6 +193,11 @@ class MeshModel(WireframeModel):
     def smooth_edges(self) -> np.ndarray:
         """Pairs (E, 2) of smooth vertices that a face joins."""
         return edges_of(self.smooth)[0]
+
+
+def _counted(sentence: str, count: int) -> str:
+    """Put a number, and the words that go with it, into a sentence."""
+    return put_in_words(sentence, {'n': count})
 
 
 def _clean(vertices: np.ndarray, triangles: np.ndarray, same: np.ndarray,

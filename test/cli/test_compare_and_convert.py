@@ -208,3 +208,38 @@ def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments,
     heard = capsys.readouterr()
     assert heard.out == '' and heard.err.count('\n') == 1 and words in heard.err
     assert sorted(Path().iterdir()) == before
+
+
+REPORT = b'<!DOCTYPE html>\n<html lang="en">' + 2_000_000 * b' '
+
+
+@pytest.mark.parametrize('name, content, words', [
+    ('report.html', REPORT, 'is a report, and no camera file; give camera.yaml or result.json of'),
+    ('run/report.html', REPORT, 'give run/camera.yaml or run/result.json of the same'),
+    ('image.jpg', b'\xff\xd8\xff\xe0', 'is an image, and no camera file; give camera.yaml'),
+    ('image.yaml', b'\x89PNG\r\n', 'is an image, and no camera file'),
+    ('film.mp4', b'\0\0\0 ftypisom', 'is a video, and no camera file; give the camera.yaml that'),
+    ('drive.mcap', b'\x89MCAP0\r\n', 'is a bag, and no camera file; give the camera.yaml'),
+    ('drive/metadata.yaml', b'', 'drive is a bag, and no camera file'),
+    ('run/log/some.log', b'', 'run/log is a folder, and no camera file; name a file in it.'),
+    ('run', None, 'is a folder, and no camera file; name run/camera.yaml or run/result.json.')])
+def test_what_is_given_for_a_camera_file_is_named_with_what_to_give(capsys, name, content, words):
+    write_camera_yaml('a.yaml', Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [], 640, 480),
+                      'a')
+    given = Path(name)
+    Path('run').mkdir()
+    for beside in ('camera.yaml', 'result.json'):
+        Path('run', beside).touch()
+    if content is not None:
+        given.parent.mkdir(parents=True, exist_ok=True)
+        given.write_bytes(content)
+    if given.name in ('metadata.yaml', 'some.log'):
+        given = given.parent
+    for arguments in (['compare', 'a.yaml', given], ['compare', given, 'a.yaml'],
+                      ['convert', given, 'b.yaml'], ['convert', given, 'b.xml', '--to', 'opencv'],
+                      ['convert', given, 'b.urdf', '--to', 'urdf'],
+                      ['track', 'x', '--model', 'm.cao', '--camera', given, '--init', '0 0 1'],
+                      ['model', 'x', '--length', '1', '--camera', given]):
+        assert selfcal(*arguments) == 2
+        heard = capsys.readouterr()
+        assert heard.out == '' and heard.err.count('\n') == 1 and words in heard.err

@@ -124,6 +124,27 @@ def test_the_demo_replaces_its_own_folder(capsys, monkeypatch):
             _demo(*more)
 
 
+@pytest.mark.parametrize('recording', ['agv', 'object'])
+def test_an_interrupted_demo_leaves_no_folder_of_logs(recording, monkeypatch):
+    def interrupted(module, arguments, environment):
+        list(arguments)
+        Path(environment['ROS_LOG_DIR']).mkdir(exist_ok=True)
+        Path(environment['ROS_LOG_DIR'], 'python.log').touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.delenv('ROS_LOG_DIR', raising=False)
+    monkeypatch.setattr('selfcal_ros.cli.demo.without_nodes', lambda *_: False)
+    monkeypatch.setattr('selfcal_ros.pipeline.child_process.run_module', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        selfcal('demo', '--recording', recording)
+    assert not Path('selfcal_demo').exists()
+    # the logs of an earlier demo stay
+    Path('selfcal_demo/log').mkdir(parents=True)
+    with pytest.raises(KeyboardInterrupt):
+        selfcal('demo', '--recording', recording)
+    assert Path('selfcal_demo/log').is_dir()
+
+
 def _stop(_):
     raise EOFError
 

@@ -50,8 +50,9 @@ def test_a_model_and_a_drawing_are_written(capsys):
     lengths = np.sort(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1))
     np.testing.assert_allclose(lengths, np.repeat([0.06, 0.08, 0.1], 3), rtol=0.015)
     assert Path('it.obj').read_text().startswith('# metres')
-    # what was said is where the tracker begins
+    # what was said is where the tracker begins, in no more digits than a start needs
     start = said.split('--init "')[1].split('"')[0]
+    assert 'e-' not in start and all(len(word.lstrip('-')) <= 6 for word in start.split())
     assert selfcal('track', 'box', '--model', 'it.cao', '--camera', 'camera.yaml', '--init',
                    start) == 0
 
@@ -69,8 +70,9 @@ def test_no_object_is_status_1_with_a_reason(capsys):
 
 
 @pytest.mark.parametrize('words, says', [
-    ([], 'how large'), (['--length', '0.1', '--baseline', '1'], 'how large'),
-    (['--length', '-1'], 'positive'), (['--length', '0.1', '--images', '0', '7'], 'no image 7'),
+    ([], 'how large'), (['--length', '0.1', '--baseline', '1'], 'state one of them'),
+    (['--length', '-1'], 'more than 0'), (['--length', '1e12'], 'less than a million metres'),
+    (['--length', '0.1', '--images', '0', '7'], 'no image 7'),
     (['--length', '0.1', '--images', '1', '1'], 'different'),
     (['--length', '0.1', '--between', 'a', 'b'], "no vertex 'a'"),
     (['--length', '0.1', '--output', 'it.stl'], '.cao or .yaml'),

@@ -21,6 +21,8 @@ from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from test_support.command_line import selfcal, SIZE
 
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+
 
 @pytest.mark.parametrize('arguments, words', [
     (['calibrate'], 'selfcal calibrate: the following arguments are required: INPUT; '),
@@ -47,11 +49,16 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--jobs', '0'], 'give 1 or more'),
     (['calibrate', 'x.csv', '--output', ''], "--output: '' is no name of a file or folder"),
     (['calibrate', 'x.csv', 'y.csv', '--output-dir', ''], 'is no name of a file or folder'),
+    (['calibrate', 'x.csv', '--max-keyframes', '1e9'], "'1e9' is no whole number; selfcal"),
+    (['calibrate', 'x.csv', '--start', 'abc'], "argument --start: 'abc' is no number; selfcal"),
+    (['calibrate', 'x.csv', '--report', 'r.pdf'], 'r.pdf is one page, and must be named .html.'),
     (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
     (['demo', '--rate', '0'], "'0' is no number from 0.01 to 100"),
     (['demo', '--rate', 'nan'], 'from 0.01 to 100'),
     (['demo', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
     (['demo', '--recording', 'object', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
+    (['demo', '--recording', 'object', '--no-ros', '--bag', BAGS / 'agv_drive'],
+     'agv_drive.model.yaml is not there; the recording of an object needs'),
     (['convert', 'x', 'out_bag', '--frame-id', '\udcff\udcfe'], 'is not plain text'),
     (['convert', 'x', 'out_bag', '--topic', 'two words'], 'is no name of a topic'),
     (['calibrate', 'x.csv', '--robot-frame', 'base\nlink'], 'is not plain text'),
@@ -65,14 +72,17 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
 
 @pytest.mark.parametrize('arguments, words', [
     (['nowhere.mcap'], 'nowhere.mcap does not exist'),
-    (['hollow'], 'hollow is empty'),
+    (['hollow'], 'hollow is empty; give one that holds images or a bag.'),
+    (['empty.mcap'], 'empty.mcap is empty (0 bytes); give another file.'),
+    (['camera.yaml'], 'camera.yaml is of no known kind; expected a rosbag2 folder'),
+    (['good.csv', '--robot', 'nan.txt'], "--robot takes poses.csv, a topic of the bag such as"),
     (['empty.csv'], 'empty.csv'),
     (['nan.csv'], 'line 2'),
     (['good.csv', '--output', 'good.csv/such/camera.yaml'], 'is not a folder'),
     (['good.csv', '--json', 'camera.yaml'],
      '--output and --json have the same name, camera.yaml; give each its own file.'),
     (['good.csv', '--output', 'hollow/../good.csv'], 'is the input good.csv'),
-    (['good.csv', '--report', 'good.csv'], 'is the input good.csv'),
+    (['good.csv', '--json', 'good.csv'], 'is the input good.csv'),
     (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
     (['good.csv', '--topic', '/image'], 'topic'),
@@ -83,7 +93,8 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['good.csv', '--image-size', '0', '480'], 'image size'),
 ])
 def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
-    Path('empty.csv').touch()
+    for name in ('empty.csv', 'empty.mcap', 'camera.yaml', 'nan.txt'):
+        Path(name).touch()
     Path('hollow').mkdir()
     Path('nan.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
     Path('good.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')

@@ -76,6 +76,20 @@ def test_urls_of_other_kinds_are_refused_and_no_folder_is_made(monkeypatch, tmp_
     assert not list(tmp_path.iterdir())
 
 
+def test_a_place_where_no_file_can_be_is_refused_before_the_drive(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path('folder').mkdir()
+    Path('file').touch()
+    for place, words in (('folder', 'folder is a folder; give the name of a file in it.'),
+                         ('file/x/front.yaml', 'file is not a folder; name another file.')):
+        with pytest.raises(ArgumentError) as refused:
+            CalibrationFile('front', str(tmp_path / place))
+        assert str(refused.value).endswith(words)
+        with pytest.raises(ArgumentError):
+            CalibrationFile('front', place)
+    assert CalibrationFile('front', 'folder/new/front.yaml').path == Path('folder/new/front.yaml')
+
+
 def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path):
     path = tmp_path / 'front.yaml'
     camera = Camera.from_parameters([500, 500, 320, 240, 0, 0, 0, 0, 0], 640, 480)

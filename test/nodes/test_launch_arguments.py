@@ -109,6 +109,7 @@ def test_sentences_of_nodes_name_parameters_and_not_options():
     assert in_parameters('Pick: `selfcal model --vertices --motion auto`; --motion auto') == (
         'Pick: `selfcal model --vertices --motion auto`; motion:=auto')
     for given in ('--topic', '--init takes', '--motion auto', '--lens plumb_bob', '--camera)',
-                  '--camera-model zoom', '--focal varying', '--trust-facts', '--skew free'):
+                  '--camera-model zoom', '--model-scale 1e-3;', '--model-scale (',
+                  '--focal varying', '--trust-facts', '--skew free'):
         words = in_parameters(given)
         assert '--' not in words and set(re.findall(r'[a-z_]+', words)) & known

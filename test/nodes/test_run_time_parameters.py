@@ -223,6 +223,14 @@ def test_a_publisher_without_a_file_takes_what_does_not_concern_the_file(graph, 
     assert '/nowhere.yaml' in refused
 
 
+def test_a_publisher_with_a_wrong_file_does_not_speak_of_a_last_calibration(graph, launch,
+                                                                            tmp_path):
+    (tmp_path / 'report.html').write_text('<!DOCTYPE html>', encoding='utf-8')
+    node = launch('camera_info_publisher', '-p', f'camera_info_url:={tmp_path}/report.html')
+    graph().wait_for(lambda: node.has_said('K is zero until it can be read.'))
+    assert 'report.html is a report, and no camera file' in node.said
+
+
 class Waiting:
     """A worker that works when it is told to."""
 

@@ -86,6 +86,27 @@ def test_a_module_is_run_to_its_end_with_its_arguments(tmp_path, monkeypatch):
     assert run_module('ending', ['7']) == 7
 
 
+def test_what_a_module_says_is_passed_on_until_it_is_broken_off(tmp_path):
+    (tmp_path / 'noisy.py').write_text(
+        'import os, signal, sys, time\n'
+        'def complain(*_):\n    os.write(2, b"terminate called\\n")\n    os._exit(1)\n'
+        'signal.signal(signal.SIGTERM, complain)\n'
+        'print("images arrive", file=sys.stderr, flush=True)\ntime.sleep(600)\n')
+    code = ('import signal\nfrom selfcal_ros.cli.own_process import own_process\n'
+            'from selfcal_ros.pipeline.child_process import run_module\n'
+            'signal.signal(signal.SIGINT, signal.default_int_handler)\n'
+            'with own_process(library_noise=True, unfinished="interrupted."):\n'
+            '    run_module("noisy")\n')
+    with subprocess.Popen([sys.executable, '-c', code], cwd=tmp_path, text=True,
+                          stderr=subprocess.PIPE, env={
+                              **os.environ, 'PYTHONPATH': f'{ROOT}{os.pathsep}{tmp_path}'},
+                          ) as command:
+        assert command.stderr.readline() == 'images arrive\n'
+        command.send_signal(signal.SIGINT)
+        assert command.stderr.read() == 'interrupted.\n'
+    assert command.returncode == -signal.SIGINT
+
+
 def test_whoever_does_not_end_is_killed():
     stubborn = subprocess.Popen(
         [sys.executable, '-c', 'import signal, time\nsignal.signal(signal.SIGTERM, '

@@ -100,7 +100,7 @@ def test_the_command_line_writes_a_table_for_each_and_one_video(folder, tmp_path
         cv2.CAP_PROP_FRAME_COUNT)) == VIEWS
     command[command.index('--init') + 1] = starts.partition(';')[0]
     assert main(command) == 2
-    assert '--init has 1 poses for 3 objects' in capsys.readouterr().err
+    assert '--init has 1 pose for 3 objects;' in capsys.readouterr().err
     command[command.index('--init') + 1] = starts
     assert main([*command, '--clicks', '1', '2']) == 2
     assert '--clicks are of one object' in capsys.readouterr().err

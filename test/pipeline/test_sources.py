@@ -333,7 +333,7 @@ def test_wrong_folders(tmp_path):
     assert str(inner) in refusal(tmp_path)
     (tmp_path / 'notes.txt').write_text('x')
     shutil.rmtree(inner)
-    assert 'notes.txt' in refusal(tmp_path)
+    assert 'but only notes.txt.' in refusal(tmp_path)
 
 
 def test_unreadable_images(tmp_path):
@@ -396,6 +396,11 @@ def test_wrong_paths(tmp_path):
     text = tmp_path / 'notes.txt'
     text.write_text('x')
     assert 'no known kind' in refusal(text)
+    (tmp_path / 'drive').mkdir()
+    (tmp_path / 'drive' / 'drive.mcap').touch()
+    inside = tmp_path / 'drive' / 'metadata.yaml'
+    inside.touch()
+    assert refusal(inside).endswith(f'is a part of a bag; give its folder, {inside.parent}.')
     for name in ('a.mcap', 'a.db3', 'a.bag'):
         fake = tmp_path / name
         fake.write_text('I am no bag')

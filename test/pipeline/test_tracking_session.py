@@ -220,13 +220,16 @@ def test_starts_are_read_from_numbers_files_and_clicks(recording, tmp_path):
                         (str(tmp_path / 'a.init'), clicks)):
         angle, share = pose_errors(*read_start(init, given, made.camera), R, t)
         assert angle < 1e-3 and share < 1e-3
+    (tmp_path / 'words.pos').write_text('hi\n')
     wrong = np.random.default_rng(0).uniform(0, 240, 12)
     for init, given, error, words in (
             (None, None, ArgumentError, 'Say where'), ('1 2 3', None, ArgumentError, 'six finite'),
             ('1 2 3 4 5 nan', None, ArgumentError, 'six finite'),
+            ('0 0 x 0 0 0', None, ArgumentError, 'six finite'),
             (str(tmp_path / 'a.init'), None, ArgumentError, '--clicks'),
             (str(tmp_path / 'a.init'), [1, 2, 3], ArgumentError, 'takes 12 numbers'),
             (str(tmp_path / 'a.init'), wrong, InputError, 'order of a.init'),
+            (str(tmp_path / 'words.pos'), None, InputError, "holds 'hi', where numbers are"),
             ('nowhere.pos', None, InputError, 'nowhere.pos')):
         with pytest.raises(error, match=words):
             read_start(init, given, made.camera)

@@ -156,8 +156,8 @@ def test_wrong_files(tmp_path, text, words):
 
 
 def test_missing_and_binary_files(tmp_path):
-    for path in (tmp_path / 'missing.yaml', tmp_path):
-        with pytest.raises(InputError, match='cannot be read'):
+    for path, words in ((tmp_path / 'missing.yaml', 'cannot be read'), (tmp_path, 'is a folder')):
+        with pytest.raises(InputError, match=words):
             read_camera_yaml(path)
     (tmp_path / 'binary.yaml').write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match='not text'):

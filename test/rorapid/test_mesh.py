@@ -91,13 +91,20 @@ def test_every_format_gives_the_same_cube(tmp_path, write, name):
     ('v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n', 'finite'),
     ('v 0 0 0\nv 0.1 0 0\nv 0.2 0 0\nf 1 2 3\n', 'area'),
     ('v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n', 'does not exist'),
-    ('v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n', '--model-scale'),
+    ('v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n', 'say its unit with --model-scale'),
     ('v 0 0 x\n', 'cannot be read')))
 def test_what_is_wrong_with_a_file_is_one_sentence(tmp_path, text, words):
     path = tmp_path / 'bad.obj'
     path.write_text(text)
     with pytest.raises(InputError, match=words):
         read_model(path)
+
+
+def test_an_absurd_size_with_a_stated_scale_asks_for_another(tmp_path):
+    path = tmp_path / 'bad.obj'
+    path.write_text('v 0 0 0\nv 0.3 0 0\nv 0 0.4 0\nf 1 2 3\n')
+    with pytest.raises(InputError, match='0.0005 m large with --model-scale 0.001; choose'):
+        read_model(path, scale=0.001)
 
 
 def test_a_text_or_half_a_file_is_no_stl(tmp_path):

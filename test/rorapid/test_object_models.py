@@ -16,6 +16,7 @@
 from dataclasses import replace
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 from bench.tracking.object_models import MOVED, onto, PICKED_CUBE, translated, wholly_visible
 import cv2
@@ -24,7 +25,8 @@ import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.pipeline.object_modelling import model_recording, ModelRequest
+from selfcal_ros.pipeline.object_modelling import (
+    model_recording, ModelledObject, ModelRequest)
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.rorapid.acquisition.picked_vertices import read_picked
 from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
@@ -35,6 +37,7 @@ from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.synthetic.object_shapes import SHAPES
 from selfcal_ros.synthetic.paths import look_at
 from selfcal_ros.synthetic.recordings import default_camera, write_image_folder
+from selfcal_ros.values.wireframe import Polygon, WireframeModel
 
 CUBE = Path(__file__).resolve().parents[2].parent / 'shared' / 'data' / 'visp_mbt_cube'
 
@@ -60,6 +63,17 @@ def test_lines_and_faces_of_rendered_objects_come_out_right(shape, faces, tmp_pa
     found = [frozenset(map(int, nearest[list(face.indices)])) for face in model.faces]
     assert len(set(found)) == len(found) == faces and set(found) <= known
     assert f'{len(model.lines)} lines and {faces} faces' in made.text()
+
+
+def test_one_face_and_one_line_without_a_face_are_in_the_singular():
+    square = WireframeModel.build([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]],
+                                  [(1, 4)], [Polygon((0, 1, 2, 3))])
+    made = ModelledObject(SimpleNamespace(
+        model=square, rotation=np.eye(3), translation=np.array([1e-7, -0.20004, 1.0]),
+        structure=SimpleNamespace(shape_covariances=np.zeros((5, 3, 3)), noise_px=0.1,
+                                  sigma_px=0.1, moved=np.ones(3))), (0, 1))
+    assert '5 lines and 1 face, ' in made.text() and '1 line belongs to no face' in made.text()
+    assert made.start == '0 -0.2 1 0 0 0'
 
 
 def test_a_known_length_fixes_the_scale_and_the_pose_starts_the_tracker(tmp_path):

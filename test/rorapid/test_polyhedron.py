@@ -100,7 +100,7 @@ def test_a_cube_of_a_file_is_read_as_a_polyhedron_with_its_remarks(tmp_path):
     path.write_text('\n'.join(lines), encoding='utf-8')
     model = read_model(path)
     assert not isinstance(model, MeshModel) and len(model.faces) == 6 and model.name == 'box'
-    assert model.remarks == ('1 faces that looked inwards were turned round.',)
+    assert model.remarks == ('1 face that looked inwards was turned round.',)
 
 
 def test_a_rough_surface_has_no_creases_and_a_box_with_a_rough_top_keeps_its_edges():

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import os
 from pathlib import Path
 import re
 from typing import TYPE_CHECKING
@@ -78,7 +79,7 @@ class RobotSource:
                 raise ArgumentError(f'The frame {world} does not move in itself; name two: '
                                     f'{_TF_FORM}.')
             return RobotSource(topic='/tf', frames=(world, body), reading=reading)
-        if frames or not text.strip():
+        if frames or not text.strip() or os.path.isfile(text):
             raise ArgumentError(f'--robot takes poses.csv, a topic of the bag such as /odom, or '
                                 f'{_TF_FORM}; got {text!r:.60}.')
         return RobotSource(topic=text, reading=reading)

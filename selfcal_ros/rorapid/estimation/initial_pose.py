@@ -94,7 +94,8 @@ def _numbers(path: Path) -> np.ndarray:
     try:
         values = np.array([float(word) for word in words.split()])
     except ValueError as error:
-        raise InputError(f'{path}: {error}.') from None
+        wrong = str(error).rpartition(': ')[2]
+        raise InputError(f'{path} holds {wrong:.60}, where numbers are expected.') from None
     if not np.isfinite(values).all():
         raise InputError(f'{path}: every number must be finite.')
     return values

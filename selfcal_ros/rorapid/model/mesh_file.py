@@ -69,7 +69,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
     """
     data = read_limited(path, _LARGEST)
     if not data:
-        raise InputError(f'{path} is empty.')
+        raise InputError(f'{path} is empty; give another file.')
     try:
         vertices, triangles = _READERS[path.suffix.lower()](data)
     except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
@@ -80,8 +80,9 @@ def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
         raise InputError(f'{path} holds no faces; points alone cannot be tracked.')
     size = float(np.linalg.norm(np.ptp(vertices, axis=0))) * scale
     if np.isfinite(vertices).all() and not _SMALLEST_M <= size <= _LARGEST_M:
-        raise InputError(f'{path} would be {size:.3g} m large; say its unit with --model-scale '
-                         '(0.001 where it is in millimetres).')
+        raise InputError(f'{path} would be {size:.3g} m large' + (
+            '; say its unit with --model-scale (0.001 where it is in millimetres).' if scale == 1
+            else f' with --model-scale {scale:g}; choose another (1 where it is in metres).'))
     try:
         mesh = MeshModel.build(vertices * scale, triangles, path.stem)
     except ArgumentError as error:
