@@ -74,6 +74,7 @@ GROUPS = {
         'tracking_sought': 'objects that nobody says a start of: found, or not, never wrong',
         'tracking_starts': 'wrong starts, wrong models, absent objects: said, never tracked',
         'tracking_walls': 'plain parts before walls that share their greys: tracked, and right',
+        'tracking_jumps': 'objects that jump, as images are missing: tracked, and right',
         'tracking_stereo': 'the tea box before two cameras that must agree',
         'tracking_rig': 'one object, several cameras: one pose, and what is wrong between them',
         'tracking_speed': 'time of the tracker and its parts, 10 000 images',

@@ -26,6 +26,7 @@ from selfcal_ros.rorapid.estimation.corner_alignment import has_corners
 from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
+from selfcal_ros.rorapid.estimation.jump import measured_after_jump
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
 from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
 from selfcal_ros.rorapid.estimation.pose_estimator import PoseEstimator, SearchingEstimator
@@ -313,6 +314,10 @@ class RorapidTracker:
                 lost or measured.share < self.options.tracking_share):
             measured = relocalised(seeker, image, measured, self._pose.kalman.state, lost,
                                    self._pose.proposed_covariance)
+        if seeker is not None and self._policy.relocalises and not lost and (
+                measured.share >= self.options.lost_share):
+            measured = measured_after_jump(seeker, image, measured, self._pose.kalman,
+                                           self._pose.proposed_covariance)
         if not lost or not measured.recognised or verifier is None:
             return measured
         measured = confirmed_again(verifier, image, measured)
@@ -387,6 +392,9 @@ class RorapidTracker:
         else:
             if track.rejects(options):
                 self._pose.restart_wide(track.good or self._pose.kalman.state)
+            elif not lost and self._policy.relocalises and track.misses <= 1:
+                # it is not where it was expected
+                self._pose.kalman.doubt_motion()
             seeking = '' if self._method.placed else seeking_reason(
                 has_corners(self._control.visible_model))
             reason = rejection_reason(measured, seeking, open_turn, options)

@@ -66,6 +66,8 @@ class ConstantVelocityFilter:
         self.covariance[m:, m:] = np.diag(self._velocity)
         self._acceleration = np.square(np.asarray(acceleration_sigma, float))
         self._random_walk = np.square(np.broadcast_to(np.asarray(random_walk, float), (m,)))
+        #: Time that the last prediction reached over, seconds.
+        self._reach_s = 0.0
 
     def restart(self, state: ObjectPose, covariance: np.ndarray,
                 velocity: np.ndarray | None = None) -> None:
@@ -103,6 +105,7 @@ class ConstantVelocityFilter:
 
         """
         m = self.basis.shape[1]
+        self._reach_s = seconds
         P, dt = self.covariance, seconds
         cross = P[:m, m:] + dt * P[m:, m:]
         P[:m, :m] += dt * (P[:m, m:].T + cross)
@@ -153,6 +156,18 @@ class ConstantVelocityFilter:
                     - carry @ (self.covariance[:m, :m] - covariance) @ carry.T)
         new[m:, m:] = 0.5 * (velocity + velocity.T)
         self.covariance, self.state = new, state
+
+    def doubt_motion(self) -> None:
+        """Take note that it may have moved in any way since the last image, and may go on so."""
+        m = self.basis.shape[1]
+        at = np.arange(m)
+        self.covariance[at, at] += self._velocity * self._reach_s**2
+        self.covariance[m + at, m + at] += self._velocity
+
+    def forget_motion(self) -> None:
+        """Take note that since the last image it did not move as before; what follows is open."""
+        self.restart(self.state, self.pose_covariance + np.diag(
+            self._velocity * self._reach_s**2))
 
     def hold(self, directions: np.ndarray, sigma: float) -> None:
         """
