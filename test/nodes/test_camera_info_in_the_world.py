@@ -181,9 +181,11 @@ def test_a_missing_set_camera_info_service_costs_a_warning_and_a_driver_is_serve
 
 
 def test_a_file_that_cannot_be_written_loses_nothing(graph, tmp_path, capfd):
-    (tmp_path / 'file').write_text('no folder', encoding='utf-8')
-    graph = graph(*OPTIONS, '-p', f'output:={tmp_path}/file/camera.yaml', '-p', 'auto_save:=true')
+    graph = graph(*OPTIONS, '-p', f'output:={tmp_path}/folder/camera.yaml', '-p',
+                  'auto_save:=true')
     on_road = Drive(graph)
+    # a folder that could have been made at the start cannot be any more
+    (tmp_path / 'folder').write_text('no folder', encoding='utf-8')
     logged = Logged(capfd)
     answer = graph.call('planar_calibrator/save')
     assert not answer.success and 'cannot be made' in answer.message
