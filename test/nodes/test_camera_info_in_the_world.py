@@ -14,6 +14,7 @@
 """A calibration on its way to drivers and consumers: windows, files, services."""
 
 import json
+import shutil
 
 from msg_adapters.camera_info import camera_info_message, image_camera_from_info, ImageWindow
 from msg_adapters.message_types import rclpy_types
@@ -184,7 +185,8 @@ def test_a_file_that_cannot_be_written_loses_nothing(graph, tmp_path, capfd):
     graph = graph(*OPTIONS, '-p', f'output:={tmp_path}/folder/camera.yaml', '-p',
                   'auto_save:=true')
     on_road = Drive(graph)
-    # a folder that could have been made at the start cannot be any more
+    # the folder goes, and cannot be made again
+    shutil.rmtree(tmp_path / 'folder')
     (tmp_path / 'folder').write_text('no folder', encoding='utf-8')
     logged = Logged(capfd)
     answer = graph.call('planar_calibrator/save')
