@@ -32,7 +32,7 @@ from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.track_quality import EDGES_SUFFICIENT
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
-#: Squared sigmas of the prediction per degree of freedom; six have more in 6 of 100 images
+#: Squared sigmas of the prediction per degree of freedom; six have more in 6 of 100 images.
 _FAR = 2.0
 #: So much more must be found from another start, as a share.
 _BETTER = 0.05
