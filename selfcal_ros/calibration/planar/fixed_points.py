@@ -21,6 +21,7 @@ no parallax, motion that is not planar - are told apart here and come back as a 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,6 +49,8 @@ from selfcal_ros.values.tracks import Tracks
 __all__ = ['calibrate_estimate', 'calibrate_from_fixed_points', 'fixed_points',
            'FixedPointEstimate', 'PencilCalibration']
 
+#: Ways to find the horizon l and the vanishing point v.
+Method = Literal['batch', 'pairs']
 #: The screw axes count as one, so that v is undetermined, below this mean squared deviation in
 #: sigmas per degree of freedom.
 COINCIDENT_CHI2 = 4.0
@@ -103,7 +106,7 @@ class FixedPointEstimate:
     findings: tuple[Finding, ...] = ()
 
 
-def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: str = 'batch',
+def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: Method = 'batch',
                  limit: int = 24, least_common: int = 12, trim_sigma: float = 4.0,
                  most_matches: int = 300, rng: np.random.Generator | None = None,
                  ) -> FixedPointEstimate | NoEstimate:
@@ -255,7 +258,7 @@ class _ToPixels:
         return x, add_up(used.ravel(), rows.reshape(-1, 2, 3), self.count)
 
 
-def _horizon_and_point(matched: MatchedPairs, method: str, trim_sigma: float,
+def _horizon_and_point(matched: MatchedPairs, method: Method, trim_sigma: float,
                        ) -> _FixedLines | NoEstimate:
     """Find the sound pairs, l and v, and whether the motion is circular."""
     sound = sound_pairs(matched.data, trim_sigma)
