@@ -26,7 +26,7 @@ from selfcal_ros.rorapid.estimation.corner_alignment import has_corners
 from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
-from selfcal_ros.rorapid.estimation.jump import measured_after_jump
+from selfcal_ros.rorapid.estimation.jump import JumpWatch
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
 from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
 from selfcal_ros.rorapid.estimation.pose_estimator import PoseEstimator, SearchingEstimator
@@ -84,7 +84,7 @@ class RorapidTracker:
         self._plausibility = PlausibilityChecks(self._control, self._pose.basis, options)
         self._track_state, self._policy = TrackStateMachine(), ALONE
         self._starting: StartSearch | None = None
-        self._sighting = LastSighting()
+        self._sighting, self._jump = LastSighting(), JumpWatch()
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
@@ -177,6 +177,7 @@ class RorapidTracker:
         self._track_state.begin(lost)
         self._stamp_ns = None
         self._sighting.forget()
+        self._jump.forget()
         self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
         kalman = self._pose.kalman
         self._starting = StartSearch(kalman.state, kalman.pose_covariance.copy(),
@@ -314,10 +315,12 @@ class RorapidTracker:
                 lost or measured.share < self.options.tracking_share):
             measured = relocalised(seeker, image, measured, self._pose.kalman.state, lost,
                                    self._pose.proposed_covariance)
-        if seeker is not None and self._policy.relocalises and not lost and (
+        if lost:
+            self._jump.forget()
+        elif seeker is not None and self._policy.relocalises and (
                 measured.share >= self.options.lost_share):
-            measured = measured_after_jump(seeker, image, measured, self._pose.kalman,
-                                           self._pose.proposed_covariance)
+            measured = self._jump.look(seeker, image, measured, self._pose.kalman,
+                                       self._pose.proposed_covariance)
         if not lost or not measured.recognised or verifier is None:
             return measured
         measured = confirmed_again(verifier, image, measured)

@@ -13,7 +13,7 @@
 # limitations under the License.
 """What happens where an object is far from where it was predicted."""
 
-from bench.tracking import tracking_jumps
+from bench.tracking import tracking_jumps, tracking_starts
 import numpy as np
 import pytest
 from selfcal_ros.geometry.rotation import rotation_vector
@@ -35,6 +35,20 @@ def test_a_turn_by_a_dozen_images_does_not_set_a_cube_spinning():
     followed = tracking_jumps.follow('cube', (6, 14), False, 0)
     assert followed.wrong(TrackerState.TRACKING, TrackerState.DEGRADED) == 0
     assert followed.count(TrackerState.TRACKING) > 0.9 * len(followed.states)
+
+
+def test_an_object_that_goes_away_is_not_tracked_on_the_wall_behind_it():
+    """Without a motion to lean on, edges of other things were taken for its own."""
+    made = tracking_starts.Sequence.render('slab', 83, 10).made
+    tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
+    tracker.start(made.rotations[0], made.translations[0])
+    for image, _ in made.frames():
+        tracker.track(image)
+    assert tracker.state is TrackerState.TRACKING
+    wall, rng = made.renderer()._background(made.camera, made.poses(0)), np.random.default_rng(83)
+    states = [tracker.track(np.clip(wall + rng.normal(size=wall.shape), 0, 255).astype(
+        np.uint8)).state for _ in range(14)]
+    assert TrackerState.TRACKING not in states and states[-1] is TrackerState.LOST
 
 
 def test_where_it_is_not_seen_as_expected_its_motion_is_open():

@@ -38,33 +38,57 @@ _FAR = 2.0
 _BETTER = 0.05
 
 
-def measured_after_jump(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
-                        kalman: ConstantVelocityFilter,
-                        proposed: Callable[[ObjectPose], np.ndarray]) -> PoseMeasurement:
-    """
-    Measure an image again if the object is far from the prediction, whose motion is forgotten.
+class JumpWatch:
+    """Watches for jumps of one object; after one its pose is open until an image confirms it."""
 
-    Parameters
-    ----------
-    method : SearchingEstimator
-    image : ndarray, shape (H, W), uint8
-    measured : PoseMeasurement
-        Around the prediction.
-    kalman : ConstantVelocityFilter
-        At the prediction. It forgets the velocity where that is wrong.
-    proposed : callable
-        Covariance (m, m) of a state that is only proposed.
+    def __init__(self) -> None:
+        """Expect none."""
+        self.forget()
 
-    Returns
-    -------
-    PoseMeasurement
-        In which most is found, as uncertain as a proposal if that is little; the one given where
-        the object is near enough.
+    def forget(self) -> None:
+        """Begin anew."""
+        self._is_open = False
 
-    """
-    if kalman.innovation_share(measured.state, np.zeros_like(kalman.pose_covariance)) < _FAR:
-        return measured
-    kalman.forget_motion()
+    def look(self, method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
+             kalman: ConstantVelocityFilter, proposed: Callable[[ObjectPose], np.ndarray],
+             ) -> PoseMeasurement:
+        """
+        Measure an image again if the object is far from the prediction, whose motion is forgotten.
+
+        Parameters
+        ----------
+        method : SearchingEstimator
+        image : ndarray, shape (H, W), uint8
+        measured : PoseMeasurement
+            Around the prediction.
+        kalman : ConstantVelocityFilter
+            At the prediction. It forgets the velocity where that is wrong.
+        proposed : callable
+            Covariance (m, m) of a state that is only proposed.
+
+        Returns
+        -------
+        PoseMeasurement
+            In which most is found; as uncertain as a proposal until its lines are seen.
+
+        """
+        if kalman.innovation_share(measured.state, np.zeros_like(kalman.pose_covariance)) > _FAR:
+            self._is_open = True
+            kalman.forget_motion()
+            measured = _best_of(method, image, measured, kalman, proposed)
+        if self._is_open:
+            # it may be another pose nearby, or something else where the object went away
+            seen = method.check.support(image, measured.state)
+            self._is_open = measured.share < EDGES_SUFFICIENT or not method.check.found(
+                seen, measured.by_texture, method.placed)
+        return measured if not self._is_open else replace(
+            measured, covariance=proposed(measured.state))
+
+
+def _best_of(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
+             kalman: ConstantVelocityFilter, proposed: Callable[[ObjectPose], np.ndarray],
+             ) -> PoseMeasurement:
+    """Measure without the motion, and from starts around; return that in which most is found."""
     again = method.measure(image, kalman.state, kalman.pose_covariance)
     best = again if again.share >= measured.share else measured
     if best.share >= EDGES_SUFFICIENT:
@@ -72,8 +96,4 @@ def measured_after_jump(method: SearchingEstimator, image: np.ndarray, measured:
     # corners of one face fit two poses; the edges know
     wide = proposed(best.state)
     other = method.measure(image, method.search.nearby(image, best.state, wide), wide)
-    if other.share > best.share + _BETTER:
-        best = other
-    # found halfway, without a prediction to lean on: it may as well be another pose nearby
-    return best if best.share >= EDGES_SUFFICIENT else replace(
-        best, covariance=proposed(best.state))
+    return other if other.share > best.share + _BETTER else best
