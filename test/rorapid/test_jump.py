@@ -39,7 +39,7 @@ def test_a_turn_by_a_dozen_images_does_not_set_a_cube_spinning():
 
 def test_an_object_that_goes_away_is_not_tracked_on_the_wall_behind_it():
     """Without a motion to lean on, edges of other things were taken for its own."""
-    made = tracking_starts.Sequence.render('slab', 83, 10).made
+    made = tracking_starts.Sequence.render('slab', 83, 20).made
     tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
     tracker.start(made.rotations[0], made.translations[0])
     for image, _ in made.frames():

@@ -29,7 +29,8 @@ import numpy as np
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
-from selfcal_ros.rorapid.estimation.track_quality import EDGES_SUFFICIENT
+from selfcal_ros.rorapid.estimation.track_quality import (
+    EDGES_SUFFICIENT, RECOGNISED_CORNERS)
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
 #: Squared sigmas of the prediction per degree of freedom; six have more in 6 of 100 images.
@@ -73,16 +74,17 @@ class JumpWatch:
 
         """
         if kalman.innovation_share(measured.state, np.zeros_like(kalman.pose_covariance)) > _FAR:
-            self._is_open = True
             kalman.forget_motion()
             measured = _best_of(method, image, measured, kalman, proposed)
-        if self._is_open:
-            # it may be another pose nearby, or something else where the object went away
-            seen = method.check.support(image, measured.state)
-            self._is_open = measured.share < EDGES_SUFFICIENT or not method.check.found(
-                seen, measured.by_texture, method.placed)
-        return measured if not self._is_open else replace(
-            measured, covariance=proposed(measured.state))
+            self._is_open = True
+        if not self._is_open:
+            return measured
+        # it may be another pose nearby, or something else where the object went away
+        seen = measured.share >= EDGES_SUFFICIENT and method.check.found(
+            method.check.support(image, measured.state), measured.by_texture, method.placed)
+        # corners of its texture say that it is there, and no more
+        self._is_open = not seen and len(measured.texture_px) < RECOGNISED_CORNERS
+        return measured if seen else replace(measured, covariance=proposed(measured.state))
 
 
 def _best_of(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,

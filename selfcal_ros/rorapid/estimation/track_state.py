@@ -160,7 +160,7 @@ class TrackStateMachine:
         self.state = TrackerState.TRACKING if tracking and not doubt else TrackerState.DEGRADED
         self.good = measured.state
         if not tracking and measured.share >= options.tracking_share:
-            return _OPEN_TURN
+            return doubt or _OPEN_TURN
         return doubt if tracking else (
             f'Only {100 * measured.share:.0f} % of what should be visible is found.')
 
