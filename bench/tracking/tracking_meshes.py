@@ -23,10 +23,10 @@ import time
 
 from bench.tables import Report
 from bench.tracking.tracking_poses import rms, settled, SHARES
+from bench.tracking.tracking_runs import frame_error
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.synthetic.mesh_scenes import MeshRenderer, SMOOTH
 from selfcal_ros.synthetic.objects import object_poses, perturbed, tracked_object
@@ -105,11 +105,10 @@ def follow(name: str, what: str, count: int):
         began = time.thread_time()
         frame = tracker.track(image)
         seconds.append(time.thread_time() - began)
-        error = np.r_[frame.translation - pose[:, 3], rotation_vector(
-            frame.rotation @ pose[:, :3].T)]
+        error, square = frame_error(frame, pose[:, :3], pose[:, 3])
         errors.append(error)
         states.append(frame.state)
-        squares.append(error @ np.linalg.solve(frame.covariance, error))
+        squares.append(square)
     return (settled(np.array(errors)), states, seconds[1:], settled(np.array(squares)), distance)
 
 

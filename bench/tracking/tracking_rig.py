@@ -25,12 +25,13 @@ import time
 from bench.inputs import data_folder
 from bench.tables import Report
 from bench.tracking.tracking_poses import SHARES
+from bench.tracking.tracking_runs import frame_error, WRONG
 from bench.tracking.tracking_stereo import CAMERAS, CLICKS, CORNERS
 import cv2
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.file_sources import VideoSource
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks
 from selfcal_ros.rorapid.model import read_model
@@ -48,9 +49,8 @@ SCENES = (('cube', 201, (0, 0.3), 0.6), ('box', 202, (0, -0.5), 0.7),
 IMAGES = 100
 #: Images in which a camera is covered, and from which on one is knocked by so many degrees.
 COVERED, KNOCKED, DEGREES = (30, 70), 40, 2.0
-#: Squared errors (6 degrees of freedom) beyond which a pose is confidently wrong; images within
-#: which something must be said.
-WRONG, SAID = 50.0, 30
+#: Images within which something must be said.
+SAID = 30
 
 
 class _Scene:
@@ -66,9 +66,7 @@ class _Scene:
 
     def error(self, tracked, k):
         """Error (6,) of a pose, and its square in sigmas."""
-        off = np.r_[tracked.translation - self.truth.translations[k],
-                    rotation_vector(tracked.rotation @ self.truth.rotations[k].T)]
-        return off, float(off @ np.linalg.solve(tracked.covariance, off))
+        return frame_error(tracked, self.truth.rotations[k], self.truth.translations[k])
 
     def follow(self, what):
         """Follow with something wrong; returns rows (error, square, depth sigma) and findings."""

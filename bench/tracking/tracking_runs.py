@@ -27,10 +27,13 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.estimation.initial_pose import read_pose_file
 from selfcal_ros.rorapid.model import read_model
+from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 
 #: Beyond this mean distance of the projected corners the object is not followed.
 FOLLOWED_PX = 5.0
+#: A pose is wrong with a squared error of six numbers above this; one in 10^8 is by chance.
+WRONG = 50.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,14 @@ class Track:
     def corners(self, points: np.ndarray, camera: Camera) -> np.ndarray:
         """Project points (P, 3) of the object at every pose: (N, P, 2)."""
         return project_all(points, self.rotations, self.translations, camera)
+
+
+def frame_error(frame: TrackedFrame, rotation: np.ndarray,
+                translation: np.ndarray) -> tuple[np.ndarray, float]:
+    """Error (6,) of a pose, metres and radians, and its square in the stated covariance."""
+    error = np.concatenate([frame.translation - translation,
+                            rotation_vector(frame.rotation @ rotation.T)])
+    return error, float(error @ np.linalg.solve(frame.covariance, error))
 
 
 def project_all(points, rotations, translations, camera: Camera) -> np.ndarray:

@@ -239,6 +239,14 @@ WRONGS = (
        True) for share in (0.02, 0.05, 0.1)))
 
 
+def images_without(made, seed: int, count: int):
+    """Yield so many images of the wall alone, with noise."""
+    empty = made.renderer()._background(made.camera, made.poses(0))
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        yield np.clip(empty + rng.normal(size=empty.shape), 0, 255).astype(np.uint8)
+
+
 def absent(report: Report) -> None:
     """Take the object away for 50 images, and put it back elsewhere, otherwise turned."""
     report.section('Absent for 50 images, back elsewhere',
@@ -251,17 +259,14 @@ def absent(report: Report) -> None:
         later = 120
         after = Sequence.render(name, seed, FOUND_WITHIN, _SEEN + later)
         made = after.made
-        empty = made.renderer()._background(made.camera, made.poses(0))
-        rng = np.random.default_rng(seed)
         tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
         tracker.start(made.rotations[0], made.translations[0])
         for image in before.images:
             tracker.track(image)
         wrong = degraded = 0
-        for _ in range(_AWAY):
-            noisy = np.clip(empty + rng.normal(size=empty.shape), 0, 255).astype(np.uint8)
+        for image in images_without(made, seed, _AWAY):
             began = time.thread_time()
-            frame = tracker.track(noisy)
+            frame = tracker.track(image)
             seconds.append(time.thread_time() - began)
             wrong += bool(frame)
             degraded += bool(frame) and frame.state is TrackerState.DEGRADED

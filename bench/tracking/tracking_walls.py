@@ -27,9 +27,9 @@ from typing import NamedTuple
 from bench.tables import Report
 from bench.tracking.machined_parts import PARTS
 from bench.tracking.tracking_meshes import CAMERA
+from bench.tracking.tracking_runs import frame_error, WRONG
 import numpy as np
 from scipy import ndimage
-from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.synthetic.mesh_scenes import MeshRenderer
 from selfcal_ros.synthetic.objects import object_poses, perturbed
@@ -40,8 +40,8 @@ WALLS = ('plain', 'bright', 'grey', 'slope', 'blobs', 'soft', 'stripes')
 SEQUENCES, IMAGES, FIRST = 4, 50, 30
 #: Images of the path that a sequence is taken from.
 _PATH = 400
-#: A pose is wrong with a squared error of six numbers above this; one in 10^8 is by chance.
-WRONG, FAR_DEG = 50.0, 5.0
+#: A pose that is turned by more is far off, degrees.
+FAR_DEG = 5.0
 
 
 class Followed(NamedTuple):
@@ -101,10 +101,8 @@ def follow(part: str, wall: str, seed: int) -> list[Followed]:
         image = drawn.render(np.column_stack([rotation, place]),
                              np.random.default_rng(k + 1000 * own), 1.0)
         frame = tracker.track(image)
-        turn = rotation_vector(frame.rotation @ rotation.T)
-        error = np.concatenate([frame.translation - place, turn])
-        followed.append(Followed(frame.state, float(
-            error @ np.linalg.solve(frame.covariance, error)), np.rad2deg(np.linalg.norm(turn))))
+        error, square = frame_error(frame, rotation, place)
+        followed.append(Followed(frame.state, square, np.rad2deg(np.linalg.norm(error[3:]))))
     return followed
 
 

@@ -73,7 +73,7 @@ class JumpWatch:
             In which most is found; as uncertain as a proposal until its lines are seen.
 
         """
-        if kalman.innovation_share(measured.state, np.zeros_like(kalman.pose_covariance)) > _FAR:
+        if kalman.innovation_share(measured.state) > _FAR:
             kalman.forget_motion()
             measured = _best_of(method, image, measured, kalman, proposed)
             self._is_open = True

@@ -166,8 +166,8 @@ class ConstantVelocityFilter:
 
     def forget_motion(self) -> None:
         """Take note that since the last image it did not move as before; what follows is open."""
-        self.restart(self.state, self.pose_covariance + np.diag(
-            self._velocity * self._reach_s**2))
+        self.doubt_motion()
+        self.restart(self.state, self.pose_covariance)
 
     def hold(self, directions: np.ndarray, sigma: float) -> None:
         """
@@ -189,7 +189,7 @@ class ConstantVelocityFilter:
         self.covariance = both @ self.covariance @ both.T
         self.covariance[:m, :m] += sigma**2 * along @ along.T
 
-    def innovation_share(self, state: ObjectPose, noise: np.ndarray) -> float:
+    def innovation_share(self, state: ObjectPose, noise: np.ndarray | float = 0.0) -> float:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)
         return float(step @ np.linalg.solve(self.pose_covariance + noise, step) / len(step))
