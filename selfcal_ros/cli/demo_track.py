@@ -32,7 +32,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     from selfcal_ros.cli.demo import check_recording, without_nodes
     from selfcal_ros.cli.shared_files import shared_file
-    from selfcal_ros.pipeline.tracking_run import read_start, Target
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)

@@ -98,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
     from selfcal_ros.cli.progress import Progress
     from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
-    from selfcal_ros.pipeline.tracking_run import read_start, Target
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.pipeline.tracking_session import AUTO
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.overlay_video import check_video_path
