@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.known_object.edge_calibration import EdgeViews
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
-from selfcal_ros.rorapid.visibility.control_points import ControlPoints
+from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 
 #: Control points that are measured on each line and each circle of a view.
