@@ -140,8 +140,9 @@ def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observ
 
 def distances(scene: Bundle[SceneState], state: SceneState) -> np.ndarray:
     """Lengths of the residuals (N,), in sigmas; infinite where there is none."""
-    length: np.ndarray = np.linalg.norm(scene.residuals(state), axis=1) / scene.sigma_px
-    return np.nan_to_num(length, nan=np.inf)
+    length: np.ndarray = np.nan_to_num(np.linalg.norm(scene.residuals(state), axis=1),
+                                       nan=np.inf)
+    return length / scene.sigma_px
 
 
 def instants(bundle: Bundle[SceneState]) -> np.ndarray:
