@@ -14,10 +14,10 @@
 """
 Worlds drawn at random from all troubles at once, in the simulation of `../shared/world_cases.py`.
 
-Nobody chose what meets what: motion, lens, noise, number of views and points are drawn, and so is
-whether patches drift, rows are read in turn, the lens zooms, something moves, a pattern repeats,
-tracks are spoilt, or nothing is stated. Every seed is another world. It finds the errors that no
-list of cases has.
+Nobody chose what meets what. Motion, lens, noise, number of views and points are drawn. So is
+whether patches drift, rows are read in turn, the lens zooms, something moves or a pattern repeats.
+Tracks may be spoilt, and facts may be missing. Every seed is another world. It finds the errors
+that no list of cases has.
 """
 
 from __future__ import annotations

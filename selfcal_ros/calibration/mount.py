@@ -147,8 +147,8 @@ class Mount:
     axis : AxisInCamera, optional
         Where the turn is open about one axis alone: that axis in the camera.
     pose_sigmas : tuple of float
-        Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body, or of
-        odometry for a metre or a radian of the way.
+        Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body. Of
+        odometry they are those for a metre or a radian of the way.
 
     """
 

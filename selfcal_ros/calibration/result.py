@@ -80,8 +80,8 @@ class Identifiability:
         Share of the variance of every estimated parameter that the image noise causes; the rest
         is the uncertainty of stated facts.
     without : dict of str to dict of str to float
-        For every stated fact, the factor by which the sigma of each estimated parameter would
-        grow without it; infinite where the images alone leave the parameter unobservable.
+        By stated fact: how many times as large the sigma of each estimated parameter would be
+        without it; infinite where the images alone leave the parameter unobservable.
     weakest : dict of str to float
         The direction of the parameters that is determined worst: one sigma along it, in the
         units of the parameters.

@@ -29,9 +29,9 @@ class StopSignals:
     """
     SIGINT and SIGTERM while a node starts: the process ends, silently and with status 0.
 
-    Loading the libraries and starting ROS takes a second; an exception in the middle of that, in
-    whichever of them is at work, is a traceback for a user who only pressed Ctrl-C. Once the node
-    spins, `handed_over` leaves the signals to rclpy, which calls this handler before its own.
+    Loading the libraries and starting ROS takes a second. An exception in the middle of that is a
+    traceback for a user who only pressed those keys. Once the node spins, `handed_over` leaves the
+    signals to rclpy, which calls this handler before its own.
     """
 
     def __init__(self):

@@ -393,8 +393,8 @@ def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: C
     """
     Return the parameters that the same views leave open where the lens does not distort.
 
-    The distortion of a board alone shows the principal point and with it the rest, but only as
-    far as the lens is exactly what its model says.
+    The distortion of a board alone shows the principal point, and with it the rest. It does so
+    only as far as the lens is exactly what its model says.
     """
     pinhole = replace(facts, distortion='none')
     priors = priors_from_facts(facts).updated(

@@ -299,7 +299,7 @@ class BodyTrack:
         """
         Return how errors of odometry add up between successive images, for unit variances.
 
-        The error of a small step is that of x, y, z, roll, pitch, yaw in the body, each with a
+        The error of a small step is that of x, y, z, roll, pitch, yaw in the body. Each has a
         variance in proportion to the step's length (m) and turn (rad).
 
         Parameters

@@ -167,9 +167,9 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
     """
     Tell whether a fit explains what another parts into still and moving, by the less noise.
 
-    A model with more freedom that is the true one keeps all points still that stand by the other,
-    unless by chance, and what seemed to move stands still. If things that move have bent it, it
-    explains neither.
+    A model with more freedom may be the true one. Then all points that stand by the other stand by
+    it, too, but for chance, and what seemed to move stands still. If things that move have bent
+    it, it explains neither.
     """
     sigma_px = min(rival.bundle.noise_rms(rival.state), still.bundle.sigma_px)
     fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))

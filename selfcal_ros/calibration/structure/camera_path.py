@@ -16,7 +16,7 @@ The path of the camera as others read it: where it was, and how well that is kno
 
 Poses are those of the camera's optical frame in the world (world_T_camera). World and unit are
 those of `metric_structure`: the body frame of the first view, z up, and the median step between
-successive views, or the metre where the poses of a robot tell the scale. A known object is its
+successive views. Where the poses of a robot tell the scale, it is the metre. A known object is its
 own world, in metres. A camera that only turns has the body frame of its first view, and no unit.
 
 A covariance is that of the pose relative to the first view, whose own is zero; before a known
