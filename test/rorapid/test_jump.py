@@ -71,7 +71,7 @@ def test_where_it_is_not_seen_as_expected_its_motion_is_open():
 
 
 def filter_of(pose):
-    camera = tracked_object(1, 'cube', seed=1).camera
+    camera = tracked_object(1, 'cube', seed=1, background=False).camera
     return ConstantVelocityFilter(
         Projection(camera), np.eye(6), pose, np.eye(6) * 1e-6, np.full(6, 0.5), np.full(6, 1.0))
 
