@@ -54,7 +54,8 @@ def test_a_camera_file_of_an_earlier_run_is_replaced_where_nobody_has_named_it(d
                                        'camera.yaml')
 
 
-def test_missing_folders_of_outputs_are_made_but_for_what_is_refused(driven, capsys):
+def test_missing_folders_of_outputs_are_made_but_for_what_is_refused(driven, capsys,
+                                                                     without_figures):
     assert selfcal('calibrate', driven[0], *SIZE, '-q', '--output', 'a/b/c.yaml', '--json',
                    'r/result.json', '--report', 'p/q/report.html', '--colmap', 'm/n') == 0
     for name in ('a/b/c.yaml', 'r/result.json', 'p/q/report.html', 'm/n/cameras.txt'):
@@ -105,7 +106,8 @@ def test_every_verb_keeps_a_camera_or_a_model(arguments, capsys, monkeypatch):
     assert all(path.read_text(encoding='utf-8') == MINE for path in mine)
 
 
-def test_what_is_derived_is_replaced_and_an_empty_file_is_no_camera(driven, capsys):
+def test_what_is_derived_is_replaced_and_an_empty_file_is_no_camera(driven, capsys,
+                                                                    without_figures):
     for name in ('old.json', 'old.html', 'old.ply'):
         Path(name).write_text(MINE, encoding='utf-8')
     Path('empty.yaml').touch()

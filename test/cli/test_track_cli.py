@@ -99,8 +99,8 @@ def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     assert sorted(Path().iterdir()) == before, 'nothing half-written'
 
 
-def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys):
-    recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0)
+def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys, without_figures):
+    recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0, supersampling=2)
     write_image_folder(recording, 'images')
     write_model(recording.model, 'model.yaml')
     pose = ' '.join(f'{v:.4f}' for v in (*recording.translations[0],
