@@ -118,6 +118,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         If the input cannot be used; the sentence says what to do.
 
     """
+    _check_facts(path, settings)
     if settings.robot is None:
         return _calibrated(path, settings, progress)
     from selfcal_ros.pipeline.robot.robot_mount import read_robot
@@ -125,6 +126,17 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
                        image_size=settings.image_size, excerpt=settings.excerpt)
     result, reading = _calibrated(path, settings, progress)
     return robot.mounted(result, reading, progress) if result else result, reading
+
+
+def _check_facts(path, settings: CalibrationSettings) -> None:
+    """Refuse facts that images of this size cannot have, before the long work."""
+    facts = settings.facts
+    if facts.principal_point is None and not facts.skew and facts.line_delay_s is None:
+        return
+    from selfcal_ros.pipeline.sources import open_source
+    with open_source(path, settings.topic, settings.image_size) as source:
+        if source.image_size is not None:
+            facts.check_for(source.image_size)
 
 
 def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,

@@ -207,6 +207,8 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                             for one, source in zip(inputs, sources))
     topics = {one.name: source.topic for one, source in zip(inputs, sources)}
     kinds = {source.kind for source in sources}
+    for size in {source.image_size for source in sources} - {None}:
+        settings.facts.check_for(size)
     mask = None
     if settings.mask is not None:
         from selfcal_ros.features.mask import read_mask

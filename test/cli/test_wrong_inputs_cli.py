@@ -85,6 +85,11 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['good.csv', '--json', 'good.csv'], 'is the input good.csv'),
     (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
+    (['good.csv', '--skew-sigma', '1e200'], 'a number from 1e-15 to 1e+15, not 1e+200'),
+    (['good.csv', '--principal-point', '1e9', '5'], 'The principal point (1e+09, 5) is far '
+     'outside of images of 640x480 pixels; state it in their pixels, or leave it open.'),
+    (['good.csv', '--skew', '5000'], 'A skew of 5000 px is impossible in images of 640x480'),
+    (['good.csv', '--line-delay', '0.009'], 'from one row to the next, about 7e-05, or leave'),
     (['good.csv', '--topic', '/image'], 'topic'),
     (['good.csv', '--motion', 'known-object'], 'needs --object'),
     (['good.csv', '--motion', 'repeated', '--focal', 'varying'], 'leave it out'),

@@ -128,6 +128,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts = CameraFacts() if facts is None else facts
     width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
     size = tracks.image_size or (int(width), int(height))
+    facts.check_for(size)
     result: Calibration | NoEstimate
     try:
         result = _calibrate(tracks, target, size, facts, flatness)
