@@ -224,10 +224,12 @@ def _write_colmap(folder: Path, scene, images, about: str, _) -> list[Path]:
 def _write_transforms(path: Path, scene, images, about: str, stamps_ns) -> list[Path]:
     from selfcal_ros.report.ply import write_ply
     from selfcal_ros.report.scene_files.transforms_json import write_transforms
-    return [write_transforms(path, scene, images.relative_to(path.parent), stamps_ns,
-                             SPARSE_POINTS, about),
-            write_ply(path.parent / SPARSE_POINTS, scene.points, images.colours,
-                      _comments(scene, about))]
+    from selfcal_ros.report.scene_files.keyframe_files import FOLDER
+    written = [write_transforms(path, scene, images.relative_to(path.parent), stamps_ns,
+                                SPARSE_POINTS, about),
+               write_ply(path.parent / SPARSE_POINTS, scene.points, images.colours,
+                         _comments(scene, about))]
+    return [*written, path.parent / FOLDER] if images.written else written
 
 
 _WRITERS = {'ply': _write_ply, 'colmap': _write_colmap, 'transforms': _write_transforms}

@@ -316,6 +316,10 @@ REMARKS: dict[str, Phrase] = {
         'in the image. The result file names all of these images.',
         'Look at these images. Where the object shows whole, more light and a steadier hand '
         'help.'),
+    'one_coding_taken': Phrase(
+        'The images are those of {taken}: {other} holds the same ones in another coding.',
+        'The raw images are taken, unless many of them are missing.',
+        'Nothing; or name the topic with `--topic`.'),
     'compressed_taken': Phrase(
         'The images are those of {taken}: {asked} itself was not recorded.',
         'They are the same images, with the losses of JPEG where that is their coding.',

@@ -73,7 +73,8 @@ def test_the_moves_of_an_arm_are_told_from_a_drive_and_their_scene_is_written(ca
     assert len(points) > 800 and (points['x'] > 0).all()
     # grey images, and texture in them
     assert (points['red'] == points['blue']).all() and np.ptp(points['red']) > 50
-    assert 'Written: camera.yaml, path.tum, scene.ply, model, transforms.json, sparse_' in said
+    assert ('Written: camera.yaml, path.tum, scene.ply, model, transforms.json, sparse_pc.ply, '
+            'images.') in said
     # the path, of which a step is 1, against the truth
     rows = np.loadtxt('path.tum')
     assert len(rows) == len(cameras) / 5 == len(edges) / 8 and np.ptp(rows[:, 1:4]) > 2

@@ -18,7 +18,7 @@ import shutil
 import tracemalloc
 
 import cv2
-from msg_adapters.image import image_message
+from msg_adapters.image import compressed_image_message, image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
 import numpy as np
@@ -188,6 +188,28 @@ def test_the_choice_of_the_topic(tmp_path):
     empty = write_bag(tmp_path / 'empty', [('/none', IMAGE, 5, None)])
     assert 'its image topic /none holds no message' in refusal(empty)
     assert 'holds no images' in refusal(without, topic='/nope')
+
+
+@pytest.mark.parametrize('raw, compressed, taken', [(3, 3, '/cam'), (2, 3, '/cam/compressed')])
+def test_the_two_codings_of_image_transport_are_one_camera(tmp_path, raw, compressed, taken):
+    types = rosbags_types()
+    coded = compressed_image_message(images()[0], header_message(1, 'cam', types), types)
+    both = [('/cam', IMAGE, k + 1, message(images()[0])) for k in range(raw)] + [
+        ('/cam/compressed', IMAGE.replace('Image', 'CompressedImage'), k + 1, coded)
+        for k in range(compressed)]
+    path = write_bag(tmp_path / 'both', both)
+    with open_source(path) as source:
+        assert source.topic == taken
+        said = [one.sentence for one in source.losses()]
+    other = ({'/cam', '/cam/compressed'} - {taken}).pop()
+    assert said == [f'The images are those of {taken}: {other} holds the same ones in another '
+                    'coding.']
+    for topic in ('/cam', '/cam/compressed'):
+        with open_source(path, topic=topic) as source:
+            assert source.topic == topic and not source.losses()
+    # another camera is another camera
+    two = write_bag(tmp_path / 'two', [*both, ('/right', IMAGE, 9, message(images()[0]))])
+    assert 'has 2 image topics, choose one' in refusal(two)
 
 
 @pytest.mark.parametrize('storage, suffix', [('mcap', '.mcap'), ('sqlite3', '.db3')])
