@@ -17,15 +17,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import TypeGuard
+from typing import get_args, Literal, TypeAlias, TypeGuard
 
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, LensChoice
 
 #: Ways to read the rows of an image.
-SHUTTERS = ('auto', 'global', 'rolling')
+ShutterChoice: TypeAlias = Literal['auto', 'global', 'rolling']
+SHUTTERS: tuple[ShutterChoice, ...] = get_args(ShutterChoice)
 #: No image sensor takes longer from one row to the next.
 LONGEST_LINE_DELAY_S = 0.01
 #: No image sensor takes longer for all of its rows.
@@ -37,7 +38,8 @@ FARTHEST_CENTRE = 10
 #: that of a larger one is no more than 1 / LEAST_SIGMA, and says nothing.
 LEAST_SIGMA, LARGEST_SIGMA = 1e-15, 1e15
 #: What may be said of the focal length over time.
-FOCAL_CHOICES = ('auto', 'constant', 'varying')
+FocalChoice: TypeAlias = Literal['auto', 'constant', 'varying']
+FOCAL_CHOICES: tuple[FocalChoice, ...] = get_args(FocalChoice)
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,11 @@ class CameraFacts:
     aspect_ratio_sigma: float = 0.0
     skew_sigma_px: float = 0.0
     principal_point_sigma_px: float = 0.0
-    distortion: str = 'auto'
+    distortion: LensChoice = 'auto'
     lens_population: bool = True
     trusted: bool = False
-    focal: str = 'auto'
-    shutter: str = 'auto'
+    focal: FocalChoice = 'auto'
+    shutter: ShutterChoice = 'auto'
     line_delay_s: float | None = None
     line_delay_sigma_s: float = 0.0
 

@@ -80,6 +80,12 @@ class ImageFolderSource(FrameSource):
             raise InputError(f'{self.path} cannot be listed: {error.strerror}.') from None
         self._files = sorted((e for e in entries if e.suffix.lower() in IMAGE_SUFFIXES and
                               e.is_file()), key=lambda e: (natural_key(e.name), e.name))
+        lost = sorted(e.name for e in entries if e.suffix.lower() in IMAGE_SUFFIXES
+                      and e.is_symlink() and not e.exists())
+        if lost:
+            raise InputError(f'{self.path / lost[0]} is a link to a file that is not there'
+                             f'{f", as are {len(lost) - 1} more" if len(lost) > 1 else ""}; '
+                             'restore what the links lead to, or remove them.')
         if not self._files:
             raise InputError(self._nothing_here(entries))
         self.count = len(self._files)

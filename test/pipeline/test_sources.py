@@ -358,6 +358,18 @@ def test_wrong_folders(tmp_path):
     assert 'but only notes.txt.' in refusal(tmp_path)
 
 
+def test_links_to_nothing_are_not_passed_over(tmp_path):
+    for name in ('0.png', '1.png'):
+        cv2.imwrite(str(tmp_path / name), images()[0])
+    (tmp_path / '2.png').symlink_to(tmp_path / '0.png')
+    with open_source(tmp_path) as source:
+        assert source.count == 3
+    (tmp_path / '3.png').symlink_to(tmp_path / 'nowhere.png')
+    assert '3.png is a link to a file that is not there; restore' in refusal(tmp_path)
+    (tmp_path / '4.png').symlink_to(tmp_path / 'nowhere.png')
+    assert 'not there, as are 1 more; restore what the links lead to' in refusal(tmp_path)
+
+
 def test_unreadable_images(tmp_path):
     good = cv2.imencode('.png', images()[0])[1].tobytes()
     (tmp_path / 'a1.png').write_bytes(good)
