@@ -83,8 +83,7 @@ class MountFacts:
                 raise ArgumentError(f'A known {name} needs a finite value and a sigma, which is 0 '
                                     f'or from {LEAST_SIGMA:g} to {LARGEST_SIGMA:g}, not {value} '
                                     f'and {sigma}.')
-            if abs(value) > _LARGEST[name]:
-                raise ArgumentError(_beyond(name, value))
+            _check_size(name, value)
         if self.scale is not None and self.scale[0] < 1 / _LARGEST['scale']:
             raise ArgumentError('The scale of the poses must be positive, from 0.001 to 1000; '
                                 'it is the true metres in a metre of the poses.')
@@ -96,17 +95,21 @@ class MountFacts:
         return {name: fact for name, fact in found.items() if fact is not None}
 
 
-def _beyond(name: str, value: float) -> str:
-    """Say that no mount has such a part."""
+def _check_size(name: str, value: float) -> None:
+    """Refuse a part that no mount has."""
+    if abs(value) <= _LARGEST[name]:
+        return
     if name in TURN:
-        return (f'A {name} of {np.degrees(value):g} degrees is more than a whole turn; state '
-                'degrees from -360 to 360.')
+        raise ArgumentError(f'A {name} of {np.degrees(value):g} degrees is more than a whole '
+                            'turn; state degrees from -360 to 360.')
     if name in PLACE:
-        return f'A camera whose {name} is {value:g} m is on no robot; state metres up to 100.'
+        raise ArgumentError(f'A camera whose {name} is {value:g} m is on no robot; state metres '
+                            'up to 100.')
     if name == 'scale':
-        return (f'A scale of {value:g} is impossible; state the true metres in a metre of the '
-                'poses, from 0.001 to 1000.')
-    return f'Clocks that are {value:g} s apart are impossible; state seconds up to 1e10.'
+        raise ArgumentError(f'A scale of {value:g} is impossible; state the true metres in a '
+                            'metre of the poses, from 0.001 to 1000.')
+    raise ArgumentError(f'Clocks that are {value:g} s apart are impossible; state seconds up to '
+                        '1e10.')
 
 
 @dataclass(frozen=True)

@@ -246,6 +246,8 @@ def _check_structure(args: argparse.Namespace, asked: list[str]) -> None:
     if args.track:
         raise ArgumentError(f'--{asked[0]} writes points, and --track follows edges; leave it '
                             'out. --poses has the path.')
+    if args.ply and args.ply.suffix.lower() not in ('', '.ply'):
+        raise ArgumentError(f'The structure {args.ply} is PLY, and must be named .ply.')
     if args.ply and args.object:
         raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
                             'object is known.')

@@ -114,6 +114,8 @@ class BagSource(FrameSource):
         super().__init__(path, image_size, colour, excerpt)
         self._reader: Any = None
         self._asked = self._twin = ''
+        self._frame_ids: dict[str, None] = {}
+        self._disordered = 0
         check_files(self.path)
         with readable(self.path):
             self._reader, self._deserialize = _opened(self.path)
@@ -167,7 +169,7 @@ class BagSource(FrameSource):
                 topics = sorted({c.topic for c in connections})
                 there = ('it holds ' + _shortened(topics)) if topics else 'it is empty'
                 raise InputError(f'{self.path} has no images (sensor_msgs Image or '
-                                 f'CompressedImage); {there}.')
+                                 f'CompressedImage); {there}; record a topic of images.')
             if len(filled) > 1:
                 raise InputError(f'{self.path} has {len(filled)} image topics, choose one with '
                                  f'--topic: {listing}.')
@@ -216,10 +218,14 @@ class BagSource(FrameSource):
 
     def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the images in the order of recording."""
-        decoder = ImageDecoder()
+        decoder, before, disordered = ImageDecoder(), -1, 0
         for index, (log_ns, msg) in enumerate(self._messages()):
             name = f'frame {index}'
             stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)
+            self._frame_ids.setdefault(str(msg.header.frame_id))
+            disordered += stamp <= before
+            # a recording may be read in parts, and more than once
+            before, self._disordered = stamp, max(self._disordered, disordered)
             if not reading.uses(index, stamp):
                 if reading.is_over(index):
                     return
@@ -233,12 +239,17 @@ class BagSource(FrameSource):
             yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
 
     def losses(self) -> tuple[Finding, ...]:
-        """Tell of damaged images, and of a topic that was taken in place of another."""
+        """Tell of what is odd: damaged images, topics taken for others, frames, stamps."""
         told = super().losses()
         if self._asked:
             told = Finding('compressed_taken', asked=self._asked, taken=self.topic), *told
         if self._twin:
             told = Finding('one_coding_taken', taken=self.topic, other=self._twin), *told
+        if len(self._frame_ids) > 1:
+            first, second, *_ = self._frame_ids
+            told = *told, Finding('frames_differ', first=first, second=second)
+        if self._disordered:
+            told = *told, Finding('stamps_disordered', count=self._disordered)
         return told
 
     def close(self) -> None:

@@ -129,14 +129,21 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
 
 
 def _check_facts(path, settings: CalibrationSettings) -> None:
-    """Refuse facts that images of this size cannot have, before the long work."""
-    facts = settings.facts
-    if facts.principal_point is None and not facts.skew and facts.line_delay_s is None:
+    """Refuse facts and frames that these images cannot have, before the long work."""
+    facts, named = settings.facts, settings.translation_frames
+    if (facts.principal_point is None and not facts.skew and facts.line_delay_s is None
+            and named is None):
         return
     from selfcal_ros.pipeline.sources import open_source
     with open_source(path, settings.topic, settings.image_size) as source:
         if source.image_size is not None:
             facts.check_for(source.image_size)
+        # of a video the number is an estimate
+        if named is not None and source.kind in ('bag', 'images') and source.count:
+            beyond = [one for one in named if not 0 <= one < source.count]
+            if beyond:
+                raise InputError(f'{path} has no image {beyond[0]}: its {source.count} images '
+                                 'are counted from 0.')
 
 
 def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,

@@ -185,7 +185,8 @@ class VideoSource(FrameSource):
             opened = False
         if not opened:
             raise InputError(f'{self.path} cannot be opened as a video; it is damaged, truncated '
-                             'or uses a codec that this OpenCV lacks.')
+                             'or uses a codec that this OpenCV lacks; give it anew, or a folder '
+                             'of its images.')
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         return capture
 

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.values.foreign_files import BAG_BEGINNINGS
+from selfcal_ros.values.output_files import RECORDED
 
 #: How files begin that are no text: at which byte, with what, and what they are.
 _BEGINNINGS = ((0, b'\x89PNG', 'an image'), (0, b'\xff\xd8\xff', 'an image'),
@@ -48,6 +49,8 @@ def refuse_other_kinds(path: str | os.PathLike) -> None:
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
             _refuse_recording(path, 'a bag')
+        if not _files_in(path) and any(one.suffix.lower() in RECORDED for one in path.iterdir()):
+            _refuse_recording(path, 'a folder of images')
         raise InputError(f'{path} is a folder, and no camera file; name '
                          f'{_files_in(path) or "a file in it"}.')
     kind = _kind_of(path)

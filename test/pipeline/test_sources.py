@@ -163,6 +163,27 @@ def test_headers_without_time_fall_back_to_the_log(tmp_path):
         assert [frame.stamp_ns - START_NS for frame in source] == list(range(6))
 
 
+def test_stamps_that_go_back_and_frames_that_change_are_told(tmp_path):
+    def told(name, stamps, frames=('front',)):
+        types = rosbags_types()
+        path = write_bag(tmp_path / name, [
+            (TOPIC, IMAGE, k + 1, image_message(image, header_message(
+                stamp, frames[k % len(frames)], types), types))
+            for k, (stamp, image) in enumerate(zip(stamps, images()))])
+        with open_source(path) as source:
+            for _ in range(2):
+                list(source)
+            return [(one.kind, one.sentence) for one in source.losses()]
+
+    assert not told('good', range(1, 7))
+    (kind, sentence), = told('back', [1, 2, 3, 2, 3, 4])
+    assert kind == 'stamps_disordered' and sentence.startswith('1 image has no later stamp than')
+    (kind, sentence), = told('still', [5] * 6)
+    assert sentence.startswith('5 images have no later stamp than')
+    (kind, sentence), = told('two', range(1, 7), ('left', 'right'))
+    assert kind == 'frames_differ' and "such as 'left' and 'right'" in sentence
+
+
 def test_the_choice_of_the_topic(tmp_path):
     types = rosbags_types()
     text = types.String(data='x')
