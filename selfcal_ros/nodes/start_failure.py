@@ -54,6 +54,10 @@ def start_failure(error: Exception) -> str:
     text = ' '.join(_PLACE.sub('', str(error)).split()).removeprefix('failed to initialize rcl: ')
     found = _PARAMETERS.match(text)
     rule = _RULE.match(text)
+    if rule and rule[2].startswith('__ns:=') and rule[2][6:7] != '/':
+        return f'A namespace begins with a slash; write --ros-args -r __ns:=/{rule[2][6:]:.60}.'
+    if rule and ':=' in rule[2] and not rule[2].endswith(':='):
+        return f'{rule[2]:.80} holds a name that ROS cannot take; use letters, digits, _ and /.'
     if rule:
         return f'{rule[2]:.80} is no rule of ROS; write --ros-args {_FORMS[rule[1]]}.'
     if not found:

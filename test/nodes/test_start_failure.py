@@ -27,6 +27,8 @@ from selfcal_ros.nodes.start_failure import start_failure, unheard
     (['--params-file', 'flat.yaml'], 'at line 2); it holds NODE:, in it ros__parameters:, and'),
     (['-p', 'rate'], 'rate is no rule of ROS; write --ros-args -p NAME:=VALUE.'),
     (['-r', 'image'], 'image is no rule of ROS; write --ros-args -r FROM:=TO.'),
+    (['-r', '__ns:=robot1'], 'slash; write --ros-args -r __ns:=/robot1.'),
+    (['-r', '__node:=my node'], '__node:=my node holds a name that ROS cannot take; use letters'),
     (['--frob'], "ROS knows no argument ['--frob']; leave it out, or put -- before it."),
     (['--log-level', 'loud'], "ROS did not start: Couldn't parse log level: '--log-level loud'.")])
 def test_arguments_that_ros_refuses_are_one_sentence(tmp_path, monkeypatch, capfd, arguments,
