@@ -316,6 +316,11 @@ REMARKS: dict[str, Phrase] = {
         'in the image. The result file names all of these images.',
         'Look at these images. Where the object shows whole, more light and a steadier hand '
         'help.'),
+    'stated_centre_outside': Phrase(
+        'The stated principal point ({cx:g}, {cy:g}) lies outside of the images of '
+        '{width}x{height}: they may be of another size than it is of.',
+        'Only a window of a larger sensor has its principal point outside.',
+        'State it in pixels of these images, or leave it open.'),
     'frames_differ': Phrase(
         'The images name different frames, such as {first!r} and {second!r}: two cameras on one '
         'topic are no single one.',

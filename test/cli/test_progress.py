@@ -75,6 +75,13 @@ def test_what_is_left_counts_the_stages_to_come(work):
     assert left.seconds('waiting', 1, 10, 80.0) is None
 
 
+def test_a_stage_begins_with_what_is_left_where_its_course_tells(work):
+    course = ((('tracking', None), ('estimating', 60), ('writing', 60)),)
+    lines = work(io.StringIO(), 60, courses=course).splitlines()
+    # 240 images of 1 s, of which 60 were followed; then what is worth 120
+    assert re.search(r'estimating \.\.\. \(about \d+ (s|min) left in all\)$', lines[-2])
+
+
 def test_what_is_left_of_a_rig_counts_all_cameras():
     left = TimeLeft(rig_courses(['left', 'right']))
     left.seconds('tracking of left', 0, 100, 0.0)

@@ -27,7 +27,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.feature_session import MAX_TABLE_FRAMES, read_tracks
 from selfcal_ros.pipeline.file_sources import natural_key
 from selfcal_ros.pipeline.sources import Frame, open_source
@@ -182,6 +184,18 @@ def test_stamps_that_go_back_and_frames_that_change_are_told(tmp_path):
     assert sentence.startswith('5 images have no later stamp than')
     (kind, sentence), = told('two', range(1, 7), ('left', 'right'))
     assert kind == 'frames_differ' and "such as 'left' and 'right'" in sentence
+
+
+def test_a_principal_point_outside_of_the_images_is_told(tmp_path):
+    few = 'frame,track,x,y\n' + ''.join(f'{frame},{track},{9 * track + frame},{5 * track}\n'
+                                        for frame in range(3) for track in range(9))
+    (tmp_path / 'tracks.csv').write_text(few, encoding='utf-8')
+    for point, told in (((320, 240), False), ((1920, 1080), True)):
+        result, reading = calibrate_input(tmp_path / 'tracks.csv', CalibrationSettings(
+            facts=CameraFacts(principal_point=point), image_size=(640, 480)))
+        assert not result
+        assert ('The stated principal point (1920, 1080) lies outside of the images of 640x480: '
+                'they may be of another size than it is of.' in reading.notes) == told
 
 
 def test_the_choice_of_the_topic(tmp_path):
