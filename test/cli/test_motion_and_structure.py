@@ -150,7 +150,7 @@ def test_a_camera_that_only_rotates_is_calibrated_as_such(capsys):
     (['--poses', 'path'], 'add --poses-format'),
     (['--poses-format', 'euroc'], 'needs --poses'),
     (['--poses', 'tracks.csv'], 'is the input tracks.csv'),
-    (['--poses', 'a.tum', '--ply', 'a.tum'], 'same name'),
+    (['--poses', 'a.tum', '--json', 'a.tum'], 'same name'),
     (['--transforms', 't.json'], 'has none; leave it out'),
     (['--colmap', 'tracks.csv'], 'takes the name of a folder'),
     (['--colmap', 'tracks.csv/model'], 'tracks.csv is a file'),
