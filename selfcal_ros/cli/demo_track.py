@@ -19,13 +19,15 @@ import argparse
 import json
 from pathlib import Path
 
-from selfcal_ros.cli.force import check_outputs, output_folder
+from selfcal_ros.cli.force import check_outputs, output_folder, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.errors import InputError
 
 RECORDING = 'bags/tracked_object'
+#: Where the nodes leave their poses, in the folder of the demo.
+NODE_POSES = 'node_poses.json'
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,9 +57,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
     """Track through the nodes, if there is something for them, and without; returns the status."""
+    from selfcal_ros.cli.demo import LOG, logs_in
     from selfcal_ros.cli.track import track_recording
-    truth = _truth(bag)
-    rows = []
+    truth, folder = _truth(bag), outputs[0].parent
+    rows, logs = [], logs_in(folder)
     if for_nodes:
         print(f'Replaying {bag} through bag_player and rorapid_tracker ...', flush=True)
         poses = _through_nodes(bag, *for_nodes)
@@ -65,6 +68,8 @@ def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
             rows.append(('through the nodes', *_errors(poses, truth)))
         else:
             print('Tracking straight in the bag instead.')
+    of_nodes = [folder / NODE_POSES] if rows else []
+    logged = [folder / LOG] if logs_in(folder) - logs else []
     poses = []
 
     def gather(frame, objects):
@@ -81,8 +86,8 @@ def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
     print(f'\n{run.text()}\n')
     if truth:
         print(_table(rows))
-    print(f'\nWritten: {", ".join(map(str, written))}. The video shows what was found (green), '
-          'what was not (orange), and what contradicts the pose (vermilion).')
+    print(f'\n{written_line([*written, *of_nodes, *logged])} The video shows what was found '
+          '(green), what was not (orange), and what contradicts the pose (vermilion).')
     return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
 
 
@@ -106,7 +111,7 @@ def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) ->
     from selfcal_ros.cli.demo import log_folder
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.child_process import run_module
-    left = folder / 'node_poses.json'
+    left = folder / NODE_POSES
     left.unlink(missing_ok=True)
     words = [bag, '--output', folder, '--model', model, '--camera', camera, '--start-pose',
              start_pose, '--rate', rate]

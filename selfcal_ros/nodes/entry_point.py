@@ -168,11 +168,13 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     from selfcal_ros.errors import SelfcalError
     from selfcal_ros.nodes.parameter_words import in_parameters
     from selfcal_ros.nodes.shared_memory import sweep
+    from selfcal_ros.nodes.start_failure import start_failure, unheard
     sweep()
     try:
-        rclpy.init(args=args)
-    except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
-        print(f'ROS did not start: {error}', file=sys.stderr)
+        with unheard():
+            rclpy.init(args=args)
+    except Exception as error:  # RCLError is private
+        print(start_failure(error), file=sys.stderr)
         return 2
     nodes = []
     try:

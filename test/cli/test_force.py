@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from selfcal_ros import Camera
+from selfcal_ros.cli.demo import log_folder, logs_in
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.pipeline import calibrate_input, tracking_run
 from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -145,6 +146,22 @@ def test_an_interrupted_demo_leaves_no_folder_of_logs(recording, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         selfcal('demo', '--recording', recording)
     assert Path('selfcal_demo/log').is_dir()
+
+
+def test_the_logs_of_the_last_demo_replace_those_of_earlier_ones():
+    log = Path('folder/log')
+    log.mkdir(parents=True)
+    for name in ('python_12_3400.log', 'notes.log'):
+        (log / name).touch()
+    with pytest.raises(KeyboardInterrupt), log_folder(log.parent):
+        raise KeyboardInterrupt
+    with log_folder(log.parent):
+        # a user may send logs elsewhere
+        pass
+    assert logs_in(log.parent) == {log / 'python_12_3400.log'}
+    with log_folder(log.parent):
+        (log / 'python_13_3500.log').touch()
+    assert sorted(one.name for one in log.iterdir()) == ['notes.log', 'python_13_3500.log']
 
 
 def _stop(_):

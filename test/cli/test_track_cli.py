@@ -77,7 +77,8 @@ def test_poses_of_an_earlier_run_are_said_to_be_replaced(capsys):
     ([BAG, '--model', 'open.ply', '--init', '0 0 -1 0 0 0', *CAMERA], 'behind the camera'),
     ([BAG, *OBJECT, '--camera', 'small.yaml'], '480x360, the calibration is for 320x240'),
     ([BAG, *OBJECT, *CAMERA, '--overlay', 'video.txt'], '.mp4'),
-    ([BAG, *OBJECT, *CAMERA, '--output', 'v.mp4', '--overlay', 'v.mp4'], 'same name'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'v.csv', '--overlay', 'v.csv'], 'same name'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'p.json'], 'are a table, and must be named .csv.'),
     ([BAG, *OBJECT, *CAMERA, '--output', 'tracks.csv/p.csv'], 'tracks.csv is a file'),
     ([BAG, *OBJECT, *CAMERA, '--camera-model', 'affine', '--motion', 'planar'], 'affine'),
     (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])

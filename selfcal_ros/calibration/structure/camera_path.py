@@ -36,6 +36,7 @@ from selfcal_ros.calibration.structure.metric_structure import (
     IN_A_PLANE, metres_a_step, world_and_scale)
 from selfcal_ros.calibration.structure.structure_measurement import regression
 from selfcal_ros.geometry.chain_inverse import carried_blocks
+from selfcal_ros.values.motion import Motion
 
 #: Motion before a known object, and without a path.
 OF_AN_OBJECT, TURNING = 'known-object', 'rotation'
@@ -68,7 +69,7 @@ class CameraPath:
     rotation: np.ndarray
     centre: np.ndarray
     covariance: np.ndarray | None
-    motion: str
+    motion: Motion
     metres_a_step: float | None = None
 
     def __len__(self) -> int:
