@@ -20,6 +20,7 @@ under `EXPECTED` makes the exit status 1. `--require ros` takes a kind of reason
 """
 
 from collections import Counter
+import gc
 import re
 
 import pytest
@@ -96,6 +97,17 @@ class Skips:
         for reason in self.unexpected():
             terminalreporter.line(f'UNEXPECTED SKIP: {reason} (test/conftest.py lists the '
                                   'reasons that are expected)', red=True)
+
+
+def pytest_sessionstart():
+    """Leave the collector of garbage out while tests are gathered: a quarter of that time."""
+    gc.disable()
+
+
+def pytest_collection_finish():
+    """Let it look at what tests make, and no more at the tests themselves."""
+    gc.enable()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):

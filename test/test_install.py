@@ -31,7 +31,8 @@ from test_support.ros_domain import reserved_domain
 ROOT = Path(__file__).resolve().parents[1]
 #: What may lie beside the sources but is no part of them.
 NOT_SOURCES = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', 'out',
-                                     '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis')
+                                     '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis',
+                                     '.mypy_cache')
 #: What ros2 launch and viewers look for, by folder of share/selfcal_ros.
 SHARED = {folder: {path.name for path in (ROOT / folder).iterdir() if path.is_file()}
           for folder in ('launch', 'config')}

@@ -14,6 +14,7 @@
 """Public functions and classes are there for somebody: the program, a bench, an example, users."""
 
 import ast
+from collections import Counter
 from functools import cache
 from pathlib import Path
 import re
@@ -89,14 +90,15 @@ def _for_tests_alone():
     """Return what no program uses: its file and its name."""
     stated = (ROOT / 'docs' / 'api.md').read_text('utf-8')
     members = set().union(*(_uses(file)[1] for file in _trees()))
+    files_with = Counter(name for file in _trees() for name in _uses(file)[0])
     found = set()
     for file, tree in _trees().items():
         if not file.startswith(('selfcal_ros/', 'msg_adapters/')) or file.startswith(SCENES):
             continue
-        imported = set().union(*(_uses(other)[0] for other in _trees() if other != file))
+        imports = _uses(file)[0]
         for node, home in _public(tree):
             used = node.name in members or (not home and (
-                node.name in imported or _inside(file, node)))
+                files_with[node.name] > (node.name in imports) or _inside(file, node)))
             if not used and not re.search(rf'^#+ .*\b{node.name}$', stated, re.M):
                 found.add((file.removeprefix('selfcal_ros/'), node.name))
     return found

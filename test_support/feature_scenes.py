@@ -13,6 +13,8 @@
 # limitations under the License.
 """A textured room with exact geometry, for the tests of the features."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 
@@ -48,16 +50,26 @@ def pose(x=0.0, z=0.0, yaw_deg=0.0, pitch_deg=0.0):
     return (turn @ tilt.T).T, np.array([x, 0.0, z])
 
 
+@cache
+def _painted(seed):
+    """Paint the walls, which takes seconds; returns them, and the state of the generator then."""
+    rng = np.random.default_rng(seed)
+    textures = [texture(rng) for _ in _PLANES]
+    for one in textures:
+        one.flags.writeable = False
+    return textures, rng.bit_generator.state
+
+
 class Room:
     """The room, what a camera sees of it, and where its points are."""
 
     def __init__(self, seed=3, ahead=None):
         """Paint the walls; `ahead` replaces the texture of the wall in front."""
-        rng = np.random.default_rng(seed)
-        self.textures = [texture(rng) for _ in _PLANES]
+        textures, state = _painted(seed)
+        self.textures, self.rng = list(textures), np.random.default_rng(seed)
+        self.rng.bit_generator.state = state
         if ahead is not None:
             self.textures[1] = ahead
-        self.rng = rng
 
     def hit(self, xy, camera):
         """Return the scene points (N, 3) and planes (N,) behind pixels (N, 2)."""

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Images of a wall that slides by, for tests that look at nodes from outside."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
@@ -22,11 +24,15 @@ STEP_PX = 4
 
 def wall(frame, width=320, height=240):
     """Show a textured wall that slides to the left by STEP_PX an image."""
+    return np.ascontiguousarray(_painted(width, height)[:, frame * STEP_PX:][:, :width])
+
+
+@cache
+def _painted(width, height):
     rng = np.random.default_rng(7)
     texture = cv2.GaussianBlur(rng.uniform(0, 255, (height, width + 600)).astype(np.float32),
                                (0, 0), 2.0)
-    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    return np.ascontiguousarray(texture[:, frame * STEP_PX:frame * STEP_PX + width])
+    return cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
 
 
 def _stamped(msg, frame, frame_id):

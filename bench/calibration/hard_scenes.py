@@ -14,8 +14,8 @@
 """
 Forty-eight sequences at the edge: never confidently wrong, never refused without need.
 
-Whether the images determine the camera is told by the Fisher information at the truth, in exactly
-planar motion by the bench's own bound, else by the adjustment's normal equations.
+Whether the images determine the camera is told by the Fisher information at the truth. In exactly
+planar motion that is the bench's own bound, else the adjustment's normal equations.
 """
 
 from __future__ import annotations

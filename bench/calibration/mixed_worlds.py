@@ -14,10 +14,10 @@
 """
 Worlds drawn at random from all troubles at once, in the simulation of `../shared/world_cases.py`.
 
-Nobody chose what meets what: motion, lens, noise, number of views and points are drawn, and so is
-whether patches drift, rows are read in turn, the lens zooms, something moves, a pattern repeats,
-tracks are spoilt, or nothing is stated. Every seed is another world. It finds the errors that no
-list of cases has.
+Nobody chose what meets what. Motion, lens, noise, number of views and points are drawn. So is
+whether patches drift, rows are read in turn, the lens zooms, something moves or a pattern repeats.
+Tracks may be spoilt, and facts may be missing. Every seed is another world. It finds the errors
+that no list of cases has.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ import numpy as np
 #: Names of motions, and how often each is drawn.
 MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, 'arc': 0.1}
 #: Worlds that were found wrong once, and take too long for the tests: for a plane that left 1.6
-#: times what pairs do; for what pairs of a fisheye show, which was no parallax.
-ONCE_WRONG = (135, 32113)
+#: times what pairs do; for what pairs of a fisheye show, which was no parallax; for a lever of
+#: 6 cm that was taken for a long one; with an error about a fisheye that sees but its axis.
+ONCE_WRONG = (135, 32113, 67, 31043)
 #: What happens to the tracks afterwards; a quarter of the worlds has one of them.
 SPOILT = {'stabilised': further_worlds.stabilised(0.4), 'half pixels': further_worlds.rounded(0.5),
           'levels of a pyramid': further_worlds.of_levels,

@@ -96,9 +96,9 @@ def one_run(task: tuple) -> dict:
     Returns
     -------
     dict
-        `refused`, the kind of the refusal, or '' with `error` and `covariance` of fx, cx, cy, and
-        `readout_ms`, `readout_sigma_ms` where rows are found to be read in turn. Of a zoom fx is
-        the geometric mean over the views.
+        `refused`, the kind of the refusal, or '' with `error` and `covariance` of fx, cx, cy.
+        Where rows are found to be read in turn there are `readout_ms`, `readout_sigma_ms`. Of a
+        zoom fx is the geometric mean over the views.
 
     """
     name, seed = task

@@ -15,9 +15,9 @@
 Short clips that turn by 2 to 15 degrees in all, as one films an object in passing.
 
 The points of a track wander as patches do that are followed from image to image: a random walk,
-beside the noise of each image. What comes of it is a calibration, a hint, or a refusal; neither
-of the first two may be off by more than four of its sigmas, and a focal length that is known to
-more than one per cent only is no calibration.
+beside the noise of each image. What comes of it is a calibration, a hint, or a refusal; neither of
+the first two may be off by more than four of its sigmas. A focal length that is known to more than
+one per cent only is no calibration.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ Windows of the monitor to first order: hundreds of hours of drives, point by poi
 
 A drive there and back shows a few windows again and again. The adjustment of each is linearised
 once, at the true camera, poses and points; then every window of an endless drive is one solution
-of its normal equations for the errors that its points have there, gross ones left out as the
+of its normal equations, for the errors that its points have there. Gross ones are left out, as the
 adjustment does. Errors are drawn as for the whole adjustment, so that windows share drifting
 tracks and keyframes as they do there.
 """

@@ -16,8 +16,8 @@ Endless drives with the geometry and the errors of the rendered one, for the mon
 
 The hall is rendered once and followed by the tracker of the live nodes; its keyframes give points,
 what is seen from where, and the size of the errors. The drive then goes there and back for ever:
-every pass sees the same points at the same places with errors of its own, which drift along
-each track as those of the tracker do.
+every pass sees the same points at the same places. Its errors are its own, and drift along each
+track as those of the tracker do.
 """
 
 from __future__ import annotations

@@ -46,9 +46,9 @@ def published_fixed_points(P: np.ndarray):
     """
     Horizon, axis and circular point of the published cameras (V, 3, 4).
 
-    P turns about its third axis, so that (1, ±i, 0, 0) are the circular points of the planes of
-    motion in every view, whatever the metric along the axis, and (0, 0, 1, 0) and (0, 0, 0, 1)
-    lie on the axis. K is not needed.
+    P turns about its third axis. So (1, ±i, 0, 0) are the circular points of the planes of motion
+    in every view, whatever the metric along the axis. (0, 0, 1, 0) and (0, 0, 0, 1) lie on the
+    axis. K is not needed.
 
     Returns
     -------

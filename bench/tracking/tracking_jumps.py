@@ -84,15 +84,16 @@ def in_every_way(shape: str, seed: int) -> list[Followed]:
 
 
 @lru_cache(maxsize=1)
-def _rendered(shape: str, seed: int) -> tuple[ObjectRecording, list[np.ndarray]]:
+def _rendered(shape: str, seed: int, samples: int) -> tuple[ObjectRecording, list[np.ndarray]]:
     """Render a sequence, which takes longer than to follow it."""
-    made = tracked_object(IMAGES, shape, seed=seed)
+    made = tracked_object(IMAGES, shape, seed=seed, supersampling=samples)
     return made, [image for image, _ in made.frames()]
 
 
-def follow(shape: str, missing: tuple[int, int], stamped: bool, seed: int) -> Followed:
+def follow(shape: str, missing: tuple[int, int], stamped: bool, seed: int,
+           samples: int = 3) -> Followed:
     """Follow a shape of which images are missing, from the true start."""
-    (made, images), rng = _rendered(shape, seed), np.random.default_rng(seed)
+    (made, images), rng = _rendered(shape, seed, samples), np.random.default_rng(seed)
     tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
     tracker.start(made.rotations[0], made.translations[0])
     states, squares, at = [], [], 0

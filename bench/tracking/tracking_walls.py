@@ -14,7 +14,7 @@
 """
 Are poses right that are called tracked? Plain parts before walls that share their greys.
 
-Part, wall, path and first attitude are drawn; nothing is chosen.
+Part, wall, path and first attitude are drawn. Two were wrong once, and are run first.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ from selfcal_ros.values.mesh import MeshModel
 WALLS = ('plain', 'bright', 'grey', 'slope', 'blobs', 'soft', 'stripes')
 #: Sequences of each part and wall, and images of each; the first seed.
 SEQUENCES, IMAGES, FIRST = 4, 50, 30
+#: Others that were followed to wrong poses once; the tests have more of them.
+ONCE_WRONG = (('elbow', 'grey', 7), ('mug', 'plain', 60))
 #: Images of the path that a sequence is taken from.
 _PATH = 400
 #: A pose that is turned by more is far off, degrees.
@@ -61,7 +63,7 @@ def run(report: Report, options) -> None:
     """Print the table; with --runs so many sequences of each part and wall."""
     count = options.runs or SEQUENCES
     report.section('Plain parts before walls', f'{count} sequences of {IMAGES} images each.')
-    tasks = list(product(PARTS, WALLS, range(FIRST, FIRST + count)))
+    tasks = [*ONCE_WRONG, *product(PARTS, WALLS, range(FIRST, FIRST + count))]
     table: dict[str, Counter[str]] = {name: Counter() for name in (*PARTS, *WALLS)}
     with ProcessPoolExecutor() as pool:
         for (part, wall, _), frames in zip(tasks, pool.map(follow, *zip(*tasks))):

@@ -125,8 +125,11 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
             raise ArgumentError('Parallel objects are for motion repeated, and are stated once: '
                                 'leave translation frames out.')
         translation_frames = parallel_objects
+    facts = CameraFacts() if facts is None else facts
+    if len(tracks):
+        facts.check_for(tracks.image_size or _size_from(tracks))
     return _guarded(tracks, _Request(
-        motion, CameraFacts() if facts is None else facts,
+        motion, facts,
         np.random.default_rng(0) if rng is None else rng, start, translation_frames, views))
 
 

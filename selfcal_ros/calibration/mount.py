@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, sigmas_of_angles
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera_facts import is_sigma, LEAST_SIGMA
+from selfcal_ros.geometry.camera_facts import is_sigma, LARGEST_SIGMA, LEAST_SIGMA
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import roll_pitch_yaw, rotation_matrix
 from selfcal_ros.values.parameter_status import Status
@@ -35,6 +35,9 @@ PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
 NAMES = (*PLACE, *TURN, 'scale', 'time_offset')
 
 
+#: No part of a mount is larger: metres, radians, a factor, and seconds between two clocks.
+_LARGEST = {'x': 100.0, 'y': 100.0, 'z': 100.0, 'roll': 2 * np.pi, 'pitch': 2 * np.pi,
+            'yaw': 2 * np.pi, 'scale': 1000.0, 'time_offset': 1e10}
 #: A value and its standard deviation; zero holds it.
 Fact = tuple[float, float]
 
@@ -59,7 +62,8 @@ class MountFacts:
     Raises
     ------
     ArgumentError
-        If a value is not finite, a sigma is negative, or the scale is not positive.
+        If a value is not finite or beyond all mounts, a sigma is negative, or the scale is not
+        positive.
 
     """
 
@@ -77,15 +81,35 @@ class MountFacts:
         for name, (value, sigma) in self.stated.items():
             if not (np.isfinite(value) and is_sigma(sigma)):
                 raise ArgumentError(f'A known {name} needs a finite value and a sigma, which is 0 '
-                                    f'or at least {LEAST_SIGMA:g}, not {value} and {sigma}.')
-        if self.scale is not None and self.scale[0] <= 0:
-            raise ArgumentError('The scale of the poses must be positive.')
+                                    f'or from {LEAST_SIGMA:g} to {LARGEST_SIGMA:g}, not {value} '
+                                    f'and {sigma}.')
+            _check_size(name, value)
+        if self.scale is not None and self.scale[0] < 1 / _LARGEST['scale']:
+            raise ArgumentError('The scale of the poses must be positive, from 0.001 to 1000; '
+                                'it is the true metres in a metre of the poses.')
 
     @property
     def stated(self) -> dict[str, Fact]:
         """Those that are stated, by name."""
         found = {name: getattr(self, name) for name in NAMES}
         return {name: fact for name, fact in found.items() if fact is not None}
+
+
+def _check_size(name: str, value: float) -> None:
+    """Refuse a part that no mount has."""
+    if abs(value) <= _LARGEST[name]:
+        return
+    if name in TURN:
+        raise ArgumentError(f'A {name} of {np.degrees(value):g} degrees is more than a whole '
+                            'turn; state degrees from -360 to 360.')
+    if name in PLACE:
+        raise ArgumentError(f'A camera whose {name} is {value:g} m is on no robot; state metres '
+                            'up to 100.')
+    if name == 'scale':
+        raise ArgumentError(f'A scale of {value:g} is impossible; state the true metres in a '
+                            'metre of the poses, from 0.001 to 1000.')
+    raise ArgumentError(f'Clocks that are {value:g} s apart are impossible; state seconds up to '
+                        '1e10.')
 
 
 @dataclass(frozen=True)
@@ -147,8 +171,8 @@ class Mount:
     axis : AxisInCamera, optional
         Where the turn is open about one axis alone: that axis in the camera.
     pose_sigmas : tuple of float
-        Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body, or of
-        odometry for a metre or a radian of the way.
+        Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body. Of
+        odometry they are those for a metre or a radian of the way.
 
     """
 

@@ -38,6 +38,7 @@ from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.measured_digits import with_sigma
+from selfcal_ros.values.motion import Motion
 from selfcal_ros.values.parameter_status import Status
 from selfcal_ros.values.track_labels import TrackLabels
 
@@ -80,8 +81,8 @@ class Identifiability:
         Share of the variance of every estimated parameter that the image noise causes; the rest
         is the uncertainty of stated facts.
     without : dict of str to dict of str to float
-        For every stated fact, the factor by which the sigma of each estimated parameter would
-        grow without it; infinite where the images alone leave the parameter unobservable.
+        By stated fact: how many times as large the sigma of each estimated parameter would be
+        without it; infinite where the images alone leave the parameter unobservable.
     weakest : dict of str to float
         The direction of the parameters that is determined worst: one sigma along it, in the
         units of the parameters.
@@ -207,7 +208,7 @@ class Calibration:
     covariance: np.ndarray
     status: dict[str, Status]
     held_by: dict[str, str]
-    motion: str
+    motion: Motion
     facts: CameraFacts
     frames: tuple[int, ...]
     reprojection_rms_px: float
@@ -352,7 +353,7 @@ class NotCalibrated:
 
     reason: str
     advice: str = ''
-    motion: str = 'unknown'
+    motion: Motion = 'unknown'
     frames: tuple[int, ...] = ()
     facts: CameraFacts = CameraFacts()
     status: dict[str, Status] = field(default_factory=dict)
@@ -364,7 +365,7 @@ class NotCalibrated:
 
     @staticmethod
     def of(refusal: NoEstimate, *, frames: Iterable[int] = (), facts: CameraFacts = CameraFacts(),
-           motion: str = 'unknown', software: str = '') -> NotCalibrated:
+           motion: Motion = 'unknown', software: str = '') -> NotCalibrated:
         """
         Put the failure of a method before the user.
 

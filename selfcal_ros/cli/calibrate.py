@@ -175,14 +175,15 @@ def _check_options(args: argparse.Namespace) -> None:
     from selfcal_ros.errors import ArgumentError
     if args.report and args.report.suffix.lower() not in ('', '.html', '.htm'):
         raise ArgumentError(f'The report {args.report} is one page, and must be named .html.')
+    _check_suffix('camera file', args.output, 'YAML', ('.yaml', '.yml'))
     known = bool(args.object) or args.track
     if known and args.motion not in ('auto', 'known-object'):
         option = '--track' if args.track else '--object'
         raise ArgumentError(f'{option} and --motion {args.motion} exclude each other; leave one '
                             'of them out.')
-    if args.views is not None and args.motion != 'general':
-        raise ArgumentError('--views needs --motion general; or limit the images with '
-                            '--max-keyframes.')
+    if args.views is not None and (args.motion != 'general' or args.views < 4):
+        raise ArgumentError('--views needs --motion general, and four or more; or limit the '
+                            'images with --max-keyframes.')
     if args.parallel_objects and (args.motion != 'repeated' or args.translation_frames):
         raise ArgumentError('--parallel-objects needs --motion repeated, and no '
                             '--translation-frames.')
@@ -206,6 +207,13 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.max_keyframes is not None and args.max_keyframes < least:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
                             'calibrate.')
+
+
+def _check_suffix(what: str, path: Path | None, kind: str, suffixes: tuple[str, ...]) -> None:
+    """Refuse a name that tells of another kind of file; one without a suffix tells of none."""
+    from selfcal_ros.errors import ArgumentError
+    if path is not None and path.suffix.lower() not in ('', *suffixes):
+        raise ArgumentError(f'The {what} {path} is {kind}, and must be named {suffixes[0]}.')
 
 
 def _run_one(args: argparse.Namespace, path: str, settings: CalibrationSettings) -> int:

@@ -226,6 +226,6 @@ def _convert_images(args: argparse.Namespace, excerpt: Excerpt) -> int:
         count = write_image_bag(args.output, counted(), written, args.storage, args.compressed,
                                 args.frame_id)
     if not args.quiet:
-        print(f'{count} images written to {args.output}, on the topic {written}'
+        print(f'{count} image{"s" * (count != 1)} written to {args.output}, on the topic {written}'
               f'{_COMPRESSED if args.compressed else ""}.')
     return EXIT_DONE

@@ -22,11 +22,12 @@ from dataclasses import replace
 from importlib.util import find_spec
 import json
 from pathlib import Path
+import re
 import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from selfcal_ros.cli.force import add_force_argument, output_folder
+from selfcal_ros.cli.force import add_force_argument, output_folder, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 
 #: What lies there is of an earlier demo.
 OWN_FOLDER = Path('selfcal_demo')
+#: In the folder of a demo, what its nodes have logged; a log has the name of the program, its
+#: number and the time.
+LOG, _LOG_NAME = 'log', re.compile(r'.+_\d+_\d+\.log')
 #: Recordings of this package, and the calibrator for their kind of motion.
 RECORDINGS = {'agv': ('bags/agv_drive', 'planar_calibrator'),
               'arm': ('bags/arm_move', 'affine_calibrator')}
@@ -90,9 +94,14 @@ def check_recording(bag: Path, no_nodes: bool) -> None:
 
 @contextmanager
 def log_folder(folder: Path) -> Iterator[Path]:
-    """Name the folder for the logs of nodes; one that is new goes with an interrupted demo."""
-    log = folder / 'log'
+    """
+    Name the folder for the logs of nodes, and leave those of the last demo alone in it.
+
+    One that is new goes with an interrupted demo.
+    """
+    log = folder / LOG
     is_new = not log.exists()
+    earlier = logs_in(folder)
     try:
         yield log
     except Exception:
@@ -102,6 +111,14 @@ def log_folder(folder: Path) -> Iterator[Path]:
         if is_new:
             shutil.rmtree(log, ignore_errors=True)
         raise
+    if logs_in(folder) - earlier:
+        for one in earlier:
+            one.unlink(missing_ok=True)
+
+
+def logs_in(folder: Path) -> set[Path]:
+    """Return the logs of nodes in the folder of a demo; a user may send them elsewhere."""
+    return {one for one in (folder / LOG).glob('*.log') if _LOG_NAME.fullmatch(one.name)}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,7 +149,7 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
     for path in (camera_yaml, result_json):
         # of an earlier run
         path.unlink(missing_ok=True)
-    result, written = None, []
+    result, written, logs = None, [], logs_in(folder)
     if calibrator:
         print(f'Replaying {bag} through bag_player, feature_tracker and {calibrator} ...',
               flush=True)
@@ -144,6 +161,7 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
             # the nodes have written the rest
             written = [path for path in (camera_yaml, result_json) if path.exists()]
             outputs = replace(outputs, camera_yaml=None, result_json=None)
+    logged = [folder / LOG] if logs_in(folder) - logs else []
     direct, tracks = _from_bag(bag)
     if result:
         print(f'\n{result_text(result, truth=read_truth(bag))}\n\n{_agreement(result, direct)}')
@@ -155,7 +173,7 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
         direct, text, str(bag), tracks, lambda: open_source(bag, colour=True))
     # or the figures of the page look like an error beside those of the camera file
     source = ' The report is of the calibration straight from the bag.' if result else ''
-    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.{source}')
+    print(f'\n{written_line([*written, *more, *logged])}{source}')
     for one in left_out:
         print(one.sentence, file=sys.stderr)
     return status_of(bool(result or direct), left_out)

@@ -21,7 +21,7 @@ import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from selfcal_ros.cli.force import check_outputs, output_folder
+from selfcal_ros.cli.force import check_outputs, output_folder, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 
 RECORDING = 'bags/tracked_object'
+#: Where the nodes leave their poses, in the folder of the demo.
+NODE_POSES = 'node_poses.json'
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,9 +68,10 @@ def run(args: argparse.Namespace) -> int:
 def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
            for_nodes: tuple[Path, Path, Path, Path, float] | None) -> int:
     """Track through the nodes, if there is something for them, and without; returns the status."""
+    from selfcal_ros.cli.demo import LOG, logs_in
     from selfcal_ros.cli.track import track_recording
-    truth = _truth(bag)
-    rows = []
+    truth, folder = _truth(bag), outputs[0].parent
+    rows, logs = [], logs_in(folder)
     if for_nodes:
         print(f'Replaying {bag} through bag_player and rorapid_tracker ...', flush=True)
         poses = _through_nodes(bag, *for_nodes)
@@ -76,6 +79,8 @@ def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
             rows.append(('through the nodes', *_errors(poses, truth)))
         else:
             print('Tracking straight in the bag instead.')
+    of_nodes = [folder / NODE_POSES] if rows else []
+    logged = [folder / LOG] if logs_in(folder) - logs else []
     poses = []
 
     def gather(frame: Frame, objects: Sequence[TrackedFrame]) -> None:
@@ -92,8 +97,8 @@ def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
     print(f'\n{run.text()}\n')
     if truth:
         print(_table(rows))
-    print(f'\nWritten: {", ".join(map(str, written))}. The video shows what was found (green), '
-          'what was not (orange), and what contradicts the pose (vermilion).')
+    print(f'\n{written_line([*written, *of_nodes, *logged])} The video shows what was found '
+          '(green), what was not (orange), and what contradicts the pose (vermilion).')
     return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
 
 
@@ -118,7 +123,7 @@ def _through_nodes(bag: Path, model: Path, camera: Path, start_pose: Path, folde
     from selfcal_ros.cli.demo import log_folder
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.child_process import run_module
-    left = folder / 'node_poses.json'
+    left = folder / NODE_POSES
     left.unlink(missing_ok=True)
     words = [bag, '--output', folder, '--model', model, '--camera', camera, '--start-pose',
              start_pose, '--rate', rate]

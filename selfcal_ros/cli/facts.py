@@ -27,6 +27,21 @@ LENSES = ('auto', 'none', 'radial1', 'radial2', 'radial3', 'radtan', 'plumb_bob'
           'equidistant')
 
 
+#: What others call the lenses.
+_ELSEWHERE = {'pinhole': 'none', 'brown': 'plumb_bob', 'brown_conrady': 'plumb_bob',
+              'opencv': 'plumb_bob', 'rational_polynomial': 'rational', 'fisheye': 'equidistant',
+              'equi': 'equidistant', 'kannala_brandt': 'equidistant',
+              'opencv_fisheye': 'equidistant'}
+
+
+def _lens(value: str) -> str:
+    """Take a lens; one that others know by another name is told by ours."""
+    name = value.lower().replace('-', '_')
+    if name in _ELSEWHERE:
+        raise argparse.ArgumentTypeError(f'{value} is called {_ELSEWHERE[name]} here')
+    return value
+
+
 def _number_or_free(text: str) -> float | str:
     """Read a number, or the word free."""
     if text == FREE:
@@ -55,7 +70,7 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        help='known principal point in pixels (default: estimated)')
     group.add_argument('--principal-point-sigma', type=float, default=0.0, metavar='PX',
                        help='standard deviation of the principal point (default 0: exact)')
-    group.add_argument('--lens', '--distortion', dest='distortion', choices=LENSES,
+    group.add_argument('--lens', '--distortion', dest='distortion', choices=LENSES, type=_lens,
                        default='auto', help='lens model to estimate: a pinhole with none to three '
                        'radial coefficients, plumb_bob (tangential ones, too), rational, or the '
                        'equidistant fisheye (default auto: the family, and its richest member '

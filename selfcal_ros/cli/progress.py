@@ -89,7 +89,8 @@ class Progress:
             self._end_stage(now)
             self._text, self._began, self._told = text, now, False
             if self._stages or now - self._start >= PATIENCE_S:
-                self._say(now, f'{text} ...')
+                self._say(now, f'{text} ...' + (
+                    '' if whole_s is None else f' (about {_duration(whole_s)} left in all)'))
         elif done and now - self._start >= PATIENCE_S and now - self._last >= PERIOD_S:
             self._say(now, f'{text}: {_share(done, total)}'
                       f'{self._left(now, done, total, whole_s)}')

@@ -26,10 +26,13 @@ from selfcal_ros.cli.force import check_outputs, is_made_here, make_folder, writ
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, LeftOut, status_of
+from selfcal_ros.cli.time_left import rig_courses
 
 if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import NotCalibrated
     from selfcal_ros.calibration.rigs.result import RigCalibration
     from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+    from selfcal_ros.pipeline.rig_input import RigReading
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
@@ -69,13 +72,10 @@ def _length(text: str) -> tuple[float, float]:
 
 def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
     """Calibrate a rig; returns the exit status."""
-    from selfcal_ros.cli.outputs import written_or_left_out
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
     from selfcal_ros.report.rig_colmap import rig_config, rig_config_path
-    from selfcal_ros.report.rig_files import (camchain, output_names, rig_camera_yaml, rig_text,
-                                              rig_to_dict)
-    from selfcal_ros.values.output_files import atomic_write
+    from selfcal_ros.report.rig_files import camchain, output_names, rig_camera_yaml, rig_text
     for name in OF_ONE_CAMERA:
         if getattr(args, name, None):
             raise ArgumentError(f'--{name.replace("_", "-")} is for a single camera; leave it out '
@@ -101,39 +101,21 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
                    '--report': args.report})
     if args.colmap is not None and args.colmap.is_file():
         raise ArgumentError(f'{args.colmap} is a file; --colmap takes the name of a folder.')
-    with Progress.of(args) as progress:
+    with Progress.of(args, rig_courses([one.name for one in inputs])) as progress:
         result, reading = calibrate_rig_input(inputs, settings, args.baseline, progress)
         progress('writing')
-    written: list[Path] = []
-    left_out: list[LeftOut] = []
-    if result:
-        contents = {path: rig_camera_yaml(result, name, reading.description)
-                    for name, path in files.items()}
-        of_kalibr = camchain(result, reading.topics)
-        if of_kalibr is not None:
-            contents[chain] = of_kalibr
-        else:
-            # nobody has asked for it
-            left_out.append(LeftOut('A chain of Kalibr needs metres, all poses, and lenses that '
-                                    f'Kalibr knows: {chain} was not written.', EXIT_DONE))
-        for path, camera_file in contents.items():
-            written += written_or_left_out(path, left_out, partial(
-                atomic_write, data=camera_file, replace=args.force or path in own))
-        written += _for_colmap(of_colmap, rig_config(result), left_out)
-        written += _mount_of_first(args, result, left_out)
-    text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result else str(result))
-    if args.report:
-        from selfcal_ros.report.provenance import Provenance
-        from selfcal_ros.report.rig_page import write_rig_page
-        written.append(write_rig_page(
-            args.report, result, text, reading.description, reading.tracks, reading.shared,
-            Provenance.of_this_run(getattr(args, 'command_line', ()), args.input)))
-    if args.json:
-        content = rig_to_dict(result)
-        content['seed'] = settings.seed
-        write_json(args.json, content)
-        if not is_standard_output(args.json):
-            written.append(args.json)
+        text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result
+                else str(result))
+        written: list[Path] = []
+        left_out: list[LeftOut] = []
+        if result:
+            cameras = {path: rig_camera_yaml(result, name, reading.description)
+                       for name, path in files.items()}
+            written += _camera_files(args, cameras, chain, camchain(result, reading.topics), own,
+                                     left_out)
+            written += _for_colmap(of_colmap, rig_config(result), left_out)
+            written += _mount_of_first(args, result, left_out)
+        written += _accounts(args, result, reading, text, settings.seed)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(written_line(written, own))
@@ -143,6 +125,44 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
         if one.status or not args.quiet:
             print(one.sentence, file=sys.stderr)
     return status_of(bool(result), left_out)
+
+
+def _camera_files(args: argparse.Namespace, cameras: dict[Path, str], chain: Path,
+                  of_kalibr: str | None, own: set[Path], left_out: list[LeftOut]) -> list[Path]:
+    """Write the file of every camera, and their chain for Kalibr where there is one."""
+    from selfcal_ros.cli.outputs import written_or_left_out
+    from selfcal_ros.values.output_files import atomic_write
+    written: list[Path] = []
+    if of_kalibr is None:
+        # nobody has asked for it
+        left_out.append(LeftOut('A chain of Kalibr needs metres, all poses, and lenses that '
+                                f'Kalibr knows: {chain} was not written.', EXIT_DONE))
+    else:
+        cameras = {**cameras, chain: of_kalibr}
+    for path, camera_file in cameras.items():
+        written += written_or_left_out(path, left_out, partial(
+            atomic_write, data=camera_file, replace=args.force or path in own))
+    return written
+
+
+def _accounts(args: argparse.Namespace, result: RigCalibration | NotCalibrated,
+              reading: RigReading, text: str, seed: int) -> list[Path]:
+    """Write what tells of the result, or why there is none: the page and the JSON."""
+    from selfcal_ros.report.rig_files import rig_to_dict
+    written: list[Path] = []
+    if args.report:
+        from selfcal_ros.report.provenance import Provenance
+        from selfcal_ros.report.rig_page import write_rig_page
+        written.append(write_rig_page(
+            args.report, result, text, reading.description, reading.tracks, reading.shared,
+            Provenance.of_this_run(getattr(args, 'command_line', ()), args.input)))
+    if args.json:
+        content = rig_to_dict(result)
+        content['seed'] = seed
+        write_json(args.json, content)
+        if not is_standard_output(args.json):
+            written.append(args.json)
+    return written
 
 
 def _mount_of_first(args: argparse.Namespace, result: RigCalibration, left_out: list[LeftOut],

@@ -238,10 +238,12 @@ def _write_transforms(path: Path, scene: ExportedScene, images: KeyframeFiles, a
                       stamps_ns: Mapping[int, int] | None) -> list[Path]:
     from selfcal_ros.report.ply import write_ply
     from selfcal_ros.report.scene_files.transforms_json import write_transforms
-    return [write_transforms(path, scene, images.relative_to(path.parent), stamps_ns,
-                             SPARSE_POINTS, about),
-            write_ply(path.parent / SPARSE_POINTS, scene.points, images.colours,
-                      _comments(scene, about))]
+    from selfcal_ros.report.scene_files.keyframe_files import FOLDER
+    written = [write_transforms(path, scene, images.relative_to(path.parent), stamps_ns,
+                                SPARSE_POINTS, about),
+               write_ply(path.parent / SPARSE_POINTS, scene.points, images.colours,
+                         _comments(scene, about))]
+    return [*written, path.parent / FOLDER] if images.written else written
 
 
 _WRITERS = {'ply': _write_ply, 'colmap': _write_colmap, 'transforms': _write_transforms}
@@ -258,6 +260,8 @@ def _check_structure(args: argparse.Namespace, asked: list[str]) -> None:
     if args.track:
         raise ArgumentError(f'--{asked[0]} writes points, and --track follows edges; leave it '
                             'out. --poses has the path.')
+    if args.ply and args.ply.suffix.lower() not in ('', '.ply'):
+        raise ArgumentError(f'The structure {args.ply} is PLY, and must be named .ply.')
     if args.ply and args.object:
         raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
                             'object is known.')

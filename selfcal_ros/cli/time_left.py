@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 #: Courses of stages: the name of each, and what it costs.
@@ -28,6 +29,25 @@ CALIBRATION: Courses = (
     (('Looking through the recording', None), ('Following the segments', 600),
      ('Calibrating the segments', 150), ('writing', 60)),
     (('Looking for the object', None), ('estimating', 10), ('writing', 60)))
+
+
+def rig_courses(names: Sequence[str]) -> tuple[tuple[tuple[str, float | None], ...], ...]:
+    """
+    Return the courses of cameras that move together; measured on `euroc_v101`, 20 instants.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the cameras.
+
+    """
+    count = len(names)
+    course: list[tuple[str, float | None]] = [(f'reading {name}', 20) for name in names[1:]]
+    for name in names:
+        course += [(f'features of {name}', 100), (f'matching of {name}', 100)]
+    course += [('registration', 50 * count), *((f'estimating {name}', 150) for name in names),
+               ('estimating the rig', 200 * count), ('writing', 20)]
+    return ((f'tracking of {names[0]}', None), *course), tuple(course)
 
 
 class TimeLeft:

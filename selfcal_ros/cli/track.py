@@ -124,6 +124,8 @@ def run(args: argparse.Namespace) -> int:
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
     if args.init_sigma is not None and not 0 < args.init_sigma < 1e6:
         raise ArgumentError(f'--init-sigma takes some metres, not {args.init_sigma:g}.')
+    if args.output.suffix.lower() not in ('', '.csv'):
+        raise ArgumentError(f'The poses {args.output} are a table, and must be named .csv.')
     excerpt = excerpt_from(args)
     paths = several(str(args.model))
     if len(paths) > 1 and args.clicks:

@@ -50,8 +50,8 @@ def refined(image: np.ndarray, corners: np.ndarray, clear_px: float) -> np.ndarr
     """
     Bring corners to sub-pixel accuracy.
 
-    OpenCV's own of ChArUco are half a pixel off in 4.6, and those of the sector-based detector
-    scatter two to three times as much as these.
+    OpenCV's own of ChArUco are half a pixel off in 4.6. Those of the sector-based detector scatter
+    two to three times as much as these.
 
     Parameters
     ----------

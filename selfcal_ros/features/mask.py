@@ -32,6 +32,8 @@ _BLOB_REACH = 4.0
 _LARGEST_REACH_PX = 32.0
 #: A mask is two colours; no sensible one is longer.
 _LARGEST_MASK_BYTES = 100_000_000
+#: Of a photograph, more than this share is of so many greys, none nearly black or white.
+_PHOTOGRAPH, _LEVELS, _NEARLY = 0.5, 32, 10
 _JPEG = b'\xff\xd8'
 
 
@@ -153,7 +155,7 @@ def read_mask(path: str | Path) -> ImageMask:
     Raises
     ------
     InputError
-        If the file is no image, or black all over.
+        If the file is no image, a photograph, or black all over.
 
     """
     data = read_limited(path, _LARGEST_MASK_BYTES, 'The mask')
@@ -168,4 +170,9 @@ def read_mask(path: str | Path) -> ImageMask:
         raise InputError(f'The mask {path} is no image that can be read; give a PNG that is white '
                          'where the camera image may be used, and black elsewhere.')
     brightest = image.max(axis=2)
+    levels = brightest // (1 if image.dtype == np.uint8 else 256)
+    grey = (levels > _NEARLY) & (levels < 255 - _NEARLY)
+    if grey.mean() > _PHOTOGRAPH and len(np.unique(levels)) > _LEVELS:
+        raise InputError(f'The mask {path} is a photograph; give a PNG that is white where the '
+                         'camera image may be used, and black elsewhere.')
     return ImageMask(brightest > (127 if data.startswith(_JPEG) else 0), f'The mask {path}')

@@ -105,13 +105,13 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
         own = []
         for image in of_camera:
             own.append(detect(image, mask=mask))
-            report('features', k * len(frames) + len(own))
+            report(f'features of {name}', len(own))
         resting = still_features(own)
         if resting is not None:
             own = [one.select(~rests) for one, rests in zip(own, resting)]
 
-        def matched(share: float, k: int = k) -> None:
-            report('matching', (k + share) / count)
+        def matched(share: float, name: str = name) -> None:
+            report(f'matching of {name}', share)
 
         found, *_ = match_pairs(own, propose_pairs(own), sizes[name], seed, matched)
         # instants in a row, the cameras of each beside each other

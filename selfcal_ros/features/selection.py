@@ -115,8 +115,8 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
     Drop points that do not move in the image while the scene does.
 
     Such are dirt on the lens, the robot's own body, and the background of a turntable. A point
-    counts as static when it stays within `still_px` of its mean position over at least two steps
-    in which other points move by more than `moving_px`; a far scene moves while the camera turns,
+    counts as static when it stays within `still_px` of its mean position over at least two steps.
+    In these, other points move by more than `moving_px`. A far scene moves while the camera turns,
     and stays.
 
     Parameters

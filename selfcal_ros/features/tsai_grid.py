@@ -15,8 +15,8 @@
 Find a Tsai grid: two orthogonal planes of dark squares (thesis 3.2).
 
 Squares are found and counted off; then a line is fitted by orthogonal regression to the edge
-points of each row and column of squares, and the corners are where these lines meet. A line may
-bend a little (a parabola), since lenses do that.
+points of each row and column of squares. The corners are where these lines meet. A line may bend a
+little (a parabola), since lenses do that.
 """
 
 from __future__ import annotations

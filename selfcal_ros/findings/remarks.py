@@ -316,6 +316,25 @@ REMARKS: dict[str, Phrase] = {
         'in the image. The result file names all of these images.',
         'Look at these images. Where the object shows whole, more light and a steadier hand '
         'help.'),
+    'stated_centre_outside': Phrase(
+        'The stated principal point ({cx:g}, {cy:g}) lies outside of the images of '
+        '{width}x{height}: they may be of another size than it is of.',
+        'Only a window of a larger sensor has its principal point outside.',
+        'State it in pixels of these images, or leave it open.'),
+    'frames_differ': Phrase(
+        'The images name different frames, such as {first!r} and {second!r}: two cameras on one '
+        'topic are no single one.',
+        'Every message names the frame of its camera. Two publishers may use one topic.',
+        'Remap one of the cameras to a topic of its own; nothing, where a driver was renamed.'),
+    'stamps_disordered': Phrase(
+        '{count} image{count:plural} {count:has|have} no later stamp than the one before: what '
+        'needs time, as the poses of a robot do, may be wrong.',
+        'Recordings that were joined, a clock that was set, or a driver that stamps nothing.',
+        'Split the recording where the stamps jump back, or mend the driver.'),
+    'one_coding_taken': Phrase(
+        'The images are those of {taken}: {other} holds the same ones in another coding.',
+        'The raw images are taken, unless many of them are missing.',
+        'Nothing; or name the topic with `--topic`.'),
     'compressed_taken': Phrase(
         'The images are those of {taken}: {asked} itself was not recorded.',
         'They are the same images, with the losses of JPEG where that is their coding.',

@@ -17,21 +17,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import TypeGuard
+from typing import get_args, Literal, TypeAlias, TypeGuard
 
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, LensChoice
 
 #: Ways to read the rows of an image.
-SHUTTERS = ('auto', 'global', 'rolling')
+ShutterChoice: TypeAlias = Literal['auto', 'global', 'rolling']
+SHUTTERS: tuple[ShutterChoice, ...] = get_args(ShutterChoice)
 #: No image sensor takes longer from one row to the next.
 LONGEST_LINE_DELAY_S = 0.01
-#: The square of a smaller standard deviation has no inverse that a computer can add to others.
-LEAST_SIGMA = 1e-15
+#: No image sensor takes longer for all of its rows.
+LONGEST_READOUT_S = 1.0
+#: No window of a larger sensor has its principal point farther from its middle, over its longer
+#: side.
+FARTHEST_CENTRE = 10
+#: The square of a smaller standard deviation has no inverse that a computer can add to others;
+#: that of a larger one is no more than 1 / LEAST_SIGMA, and says nothing.
+LEAST_SIGMA, LARGEST_SIGMA = 1e-15, 1e15
 #: What may be said of the focal length over time.
-FOCAL_CHOICES = ('auto', 'constant', 'varying')
+FocalChoice: TypeAlias = Literal['auto', 'constant', 'varying']
+FOCAL_CHOICES: tuple[FocalChoice, ...] = get_args(FocalChoice)
 
 
 @dataclass(frozen=True)
@@ -95,11 +103,11 @@ class CameraFacts:
     aspect_ratio_sigma: float = 0.0
     skew_sigma_px: float = 0.0
     principal_point_sigma_px: float = 0.0
-    distortion: str = 'auto'
+    distortion: LensChoice = 'auto'
     lens_population: bool = True
     trusted: bool = False
-    focal: str = 'auto'
-    shutter: str = 'auto'
+    focal: FocalChoice = 'auto'
+    shutter: ShutterChoice = 'auto'
     line_delay_s: float | None = None
     line_delay_sigma_s: float = 0.0
 
@@ -139,8 +147,38 @@ class CameraFacts:
                      'line_delay_sigma_s'):
             value = getattr(self, name)
             if not is_sigma(value):
-                raise ArgumentError(f'{name} must be 0 for exact, or a number of at least '
-                                    f'{LEAST_SIGMA:g}, not {value!r}.')
+                raise ArgumentError(f'{name} must be 0 for exact, or a number from '
+                                    f'{LEAST_SIGMA:g} to {LARGEST_SIGMA:g}, not {value!r}.')
+
+    def check_for(self, size: tuple[int, int]) -> None:
+        """
+        Refuse what cannot be true of images of a size, before any work is done.
+
+        Parameters
+        ----------
+        size : (int, int)
+            Width and height of the images, pixels.
+
+        Raises
+        ------
+        ArgumentError
+            If a stated pixel is far outside of the images, the skew larger than they are, or the
+            line delay more than rows can have.
+
+        """
+        images, longer = f'images of {size[0]}x{size[1]} pixels', max(size)
+        if self.principal_point is not None:
+            u, v = self.principal_point
+            if math.hypot(u - size[0] / 2, v - size[1] / 2) > FARTHEST_CENTRE * longer:
+                raise ArgumentError(f'The principal point ({u:g}, {v:g}) is far outside of '
+                                    f'{images}; state it in their pixels, or leave it open.')
+        if self.skew is not None and abs(self.skew) > longer:
+            raise ArgumentError(f'A skew of {self.skew:g} px is impossible in {images}; state '
+                                'one near 0, or leave it open.')
+        if self.line_delay_s is not None and abs(self.line_delay_s) * longer > LONGEST_READOUT_S:
+            raise ArgumentError(f'A line delay of {self.line_delay_s:g} s is impossible in '
+                                f'{images}; state the seconds from one row to the next, about '
+                                f'{1 / 30 / size[1]:.0e}, or leave it open.')
 
 
 def supposed_matrix(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> np.ndarray:
@@ -175,4 +213,4 @@ def is_number(value: object) -> TypeGuard[float]:
 
 def is_sigma(value: object) -> bool:
     """Tell whether a standard deviation of a fact is zero or has a square and an inverse."""
-    return is_number(value) and (value == 0 or value >= LEAST_SIGMA)
+    return is_number(value) and (value == 0 or LEAST_SIGMA <= value <= LARGEST_SIGMA)

@@ -186,8 +186,8 @@ def canonical_transform(line: ArrayLike, point: ArrayLike) -> np.ndarray:
     Returns
     -------
     ndarray, shape (3, 3)
-        The similarity that makes l the x axis, then the projectivity that fixes that axis
-        and sends v to the point at infinity of the y axis.
+        A similarity makes l the x axis. Then a projectivity fixes that axis and sends v to the
+        point at infinity of the y axis.
 
     """
     line = np.asarray(line, float)

@@ -17,7 +17,7 @@ First-order propagation of image noise to estimates (thesis C.1), match by match
 An estimate that minimises a sum of squares moves with every image coordinate by a known amount,
 its influence. Influences add: what shares an observation shares its noise, however many pairs or
 triplets of views the observation enters. That is what 2 C / (m - p) H^-1 of each pair by itself
-cannot see, and why the thesis's spreads of v come out too large and those of l too small.
+cannot see. It is why the thesis's spreads of v come out too large and those of l too small.
 """
 
 from __future__ import annotations

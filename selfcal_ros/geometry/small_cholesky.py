@@ -22,8 +22,8 @@ def inverse_cholesky(H: np.ndarray) -> np.ndarray:
     """
     Invert the Cholesky factors of symmetric matrices: L⁻¹, with H⁻¹ = L⁻ᵀ L⁻¹.
 
-    Of three rows each entry is computed for all matrices at once, which takes a tenth of the
-    time of calls of LAPACK for every one.
+    Of three rows each entry is computed for all matrices at once. Calls of LAPACK for every one
+    take ten times as long.
 
     Parameters
     ----------

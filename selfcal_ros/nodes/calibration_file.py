@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from datetime import datetime
-import os
 from pathlib import Path
 import re
 from typing import Any
@@ -28,6 +27,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.values.output_files import check_place
 
 #: Of a sigma: an estimate that moves less, and whose sigmas fall by less, brings nothing new.
 SAME = 0.1
@@ -47,7 +47,7 @@ class CalibrationFile:
 
     Raises
     ------
-    ArgumentError
+    ArgumentError, InputError
         If the name or the path is impossible.
 
     """
@@ -61,12 +61,7 @@ class CalibrationFile:
         self._saved_at: datetime | None = None
         self.path = path_of(output or '${ROS_HOME}/camera_info/${NAME}.yaml', camera_name)
         # before the drive, and not when its calibration is to be written
-        if os.path.isdir(self.path):
-            raise ArgumentError(f'{self.path} is a folder; give the name of a file in it.')
-        there = next(filter(os.path.exists, self.path.absolute().parents))
-        if not os.path.isdir(there):
-            raise ArgumentError(f'{self.path} cannot be written: {there} is not a folder; name '
-                                'another file.')
+        check_place(self.path, makes_folders=True)
 
     def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
         """

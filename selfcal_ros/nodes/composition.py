@@ -19,9 +19,9 @@ two are what runs by default. Names, topics, parameters and services are those o
 processes of their own; remappings and parameters on the command line hold for all of them, and
 `-r planar_calibrator:camera_info:=...` for one.
 
-What is different: tracks go from the tracker to the calibrator without a message in between, the
-CameraInfo of an image goes out before its points are followed, and estimates run in a child
-process, where they cannot hold the interpreter while an image waits.
+Three things are different. Tracks go from the tracker to the calibrator without a message in
+between. The CameraInfo of an image goes out before its points are followed. Estimates run in a
+child process, where they cannot hold the interpreter while an image waits.
 """
 
 from __future__ import annotations

@@ -29,9 +29,9 @@ class StopSignals:
     """
     SIGINT and SIGTERM while a node starts: the process ends, silently and with status 0.
 
-    Loading the libraries and starting ROS takes a second; an exception in the middle of that, in
-    whichever of them is at work, is a traceback for a user who only pressed Ctrl-C. Once the node
-    spins, `handed_over` leaves the signals to rclpy, which calls this handler before its own.
+    Loading the libraries and starting ROS takes a second. An exception in the middle of that is a
+    traceback for a user who only pressed those keys. Once the node spins, `handed_over` leaves the
+    signals to rclpy, which calls this handler before its own.
     """
 
     def __init__(self):
@@ -168,11 +168,13 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     from selfcal_ros.errors import SelfcalError
     from selfcal_ros.nodes.parameter_words import in_parameters
     from selfcal_ros.nodes.shared_memory import sweep
+    from selfcal_ros.nodes.start_failure import start_failure, unheard
     sweep()
     try:
-        rclpy.init(args=args)
-    except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
-        print(f'ROS did not start: {error}', file=sys.stderr)
+        with unheard():
+            rclpy.init(args=args)
+    except Exception as error:  # RCLError is private
+        print(start_failure(error), file=sys.stderr)
         return 2
     nodes = []
     try:

@@ -13,8 +13,11 @@
 # limitations under the License.
 """Parameters of a calibrator as settings of a session and of its monitor."""
 
+from typing import cast
+
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts, FocalChoice, ShutterChoice
+from selfcal_ros.geometry.lenses.catalogue import LensChoice
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.pipeline.estimate_request import SessionSettings
 
@@ -32,10 +35,12 @@ def session_settings(parameters: CalibratorParameters) -> SessionSettings:
     facts = CameraFacts(aspect_ratio=parameters.aspect_ratio or None,
                         aspect_ratio_sigma=parameters.aspect_ratio_sigma,
                         skew=0.0 if parameters.zero_skew else None,
-                        distortion=parameters.distortion,
+                        distortion=cast(LensChoice, parameters.distortion),
                         lens_population=parameters.lens_population,
-                        trusted=parameters.trust_facts, focal=parameters.focal,
-                        shutter=parameters.shutter)
+                        trusted=parameters.trust_facts,
+                        # a parameter is checked against these, and is a string for ROS
+                        focal=cast(FocalChoice, parameters.focal),
+                        shutter=cast(ShutterChoice, parameters.shutter))
     return SessionSettings(motion=parameters.motion, facts=facts,
                            parallax=parameters.keyframe_parallax,
                            max_keyframes=parameters.max_keyframes,

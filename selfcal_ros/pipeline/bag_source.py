@@ -25,17 +25,17 @@ from msg_adapters.stamps import stamp_ns
 
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.pipeline.bag_limits import (BagLimit, bound_rosbags, check_metadata,
-                                             is_compressed_file)
+from selfcal_ros.pipeline.bag_files import check_files, format_name
+from selfcal_ros.pipeline.bag_limits import BagLimit, bound_rosbags
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
-
-_MAGIC = {'.mcap': (b'\x89MCAP0\r\n',), '.db3': (b'SQLite format 3\0',),
-          '.bag': (b'#ROSBAG V2.0',)}
-_KIND = {'.mcap': 'an mcap file', '.db3': 'a rosbag2 sqlite3 file', '.bag': 'a ROS 1 bag'}
+#: What image_transport adds to the name of a topic for the same images, compressed.
+COMPRESSED = '/compressed'
+#: Raw images are preferred, where there are so many of them for each compressed one.
+_ENOUGH = 0.9
 
 
 @contextmanager
@@ -114,8 +114,10 @@ class BagSource(FrameSource):
         """Open the bag and choose the topic."""
         super().__init__(path, image_size, colour, excerpt)
         self._reader: Any = None
-        self._asked = ''
-        _check_files(self.path)
+        self._asked = self._twin = ''
+        self._frame_ids: dict[str, None] = {}
+        self._disordered = 0
+        check_files(self.path)
         with readable(self.path):
             self._reader, self._deserialize = _opened(self.path)
         try:
@@ -123,7 +125,7 @@ class BagSource(FrameSource):
             self.topic = self._connections[0].topic
             self.count = self._announced = sum(
                 connection.msgcount for connection in self._connections)
-            self.description = (f'{_format_name(self.path)} {self.path.name}, topic '
+            self.description = (f'{format_name(self.path)} {self.path.name}, topic '
                                 f'{self.topic}, {self.count} images')
             if not excerpt.is_whole and self._reader.duration > 0:
                 self._cut(1e9 * max(self._announced - 1, 1) / self._reader.duration)
@@ -142,8 +144,8 @@ class BagSource(FrameSource):
         listing = ', '.join(f'{name} ({number})' for name, number in sorted(counts.items()))
         if topic:
             wanted = [c for c in connections if c.topic in (topic, f'/{topic}')]
-            beside = [c for c in images if c.topic in (f'{topic}/compressed',
-                                                       f'/{topic}/compressed')]
+            beside = [c for c in images if c.topic in (topic + COMPRESSED,
+                                                       f'/{topic}{COMPRESSED}')]
             if beside and not sum(c.msgcount for c in wanted):
                 # recorded are the same images in another coding
                 wanted, self._asked = beside, topic
@@ -156,7 +158,8 @@ class BagSource(FrameSource):
                 raise InputError(f'The topic {topic} of {self.path} carries {wanted[0].msgtype}, '
                                  f'not images; {there}.')
         else:
-            filled = [name for name, number in counts.items() if number]
+            filled = self._of_one_coding({name: number for name, number in counts.items()
+                                          if number})
             if counts and not filled:
                 named = ', '.join(sorted(counts))
                 raise InputError(f'{self.path} has no images: its image topic {named} holds no '
@@ -167,13 +170,28 @@ class BagSource(FrameSource):
                 topics = sorted({c.topic for c in connections})
                 there = ('it holds ' + _shortened(topics)) if topics else 'it is empty'
                 raise InputError(f'{self.path} has no images (sensor_msgs Image or '
-                                 f'CompressedImage); {there}.')
+                                 f'CompressedImage); {there}; record a topic of images.')
             if len(filled) > 1:
                 raise InputError(f'{self.path} has {len(filled)} image topics, choose one with '
                                  f'--topic: {listing}.')
             chosen = [c for c in images if c.topic == filled[0]]
         if not sum(c.msgcount for c in chosen):
             raise InputError(f'The topic {chosen[0].topic} of {self.path} holds no messages.')
+        return chosen
+
+    def _of_one_coding(self, counts: dict[str, int]) -> list[str]:
+        """Return the topics of different cameras: of two codings of the same images, one."""
+        chosen = []
+        for name, number in counts.items():
+            raw = name.removesuffix(COMPRESSED)
+            if raw != name and raw in counts:
+                continue
+            coded = counts.get(name + COMPRESSED, 0)
+            # of the larger messages a recorder may have lost many
+            taken, other = ((name, name + COMPRESSED) if number >= _ENOUGH * coded
+                            else (name + COMPRESSED, name))
+            chosen.append(taken)
+            self._twin = other if coded else self._twin
         return chosen
 
     def _peek(self) -> None:
@@ -201,10 +219,14 @@ class BagSource(FrameSource):
 
     def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the images in the order of recording."""
-        decoder = ImageDecoder()
+        decoder, before, disordered = ImageDecoder(), -1, 0
         for index, (log_ns, msg) in enumerate(self._messages()):
             name = f'frame {index}'
             stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)
+            self._frame_ids.setdefault(str(msg.header.frame_id))
+            disordered += stamp <= before
+            # a recording may be read in parts, and more than once
+            before, self._disordered = stamp, max(self._disordered, disordered)
             if not reading.uses(index, stamp):
                 if reading.is_over(index):
                     return
@@ -218,10 +240,18 @@ class BagSource(FrameSource):
             yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
 
     def losses(self) -> tuple[Finding, ...]:
-        """Tell of damaged images, and of a topic that was taken in place of another."""
-        taken = (Finding('compressed_taken', asked=self._asked, taken=self.topic),
-                 ) if self._asked else ()
-        return *taken, *super().losses()
+        """Tell of what is odd: damaged images, topics taken for others, frames, stamps."""
+        told = super().losses()
+        if self._asked:
+            told = Finding('compressed_taken', asked=self._asked, taken=self.topic), *told
+        if self._twin:
+            told = Finding('one_coding_taken', taken=self.topic, other=self._twin), *told
+        if len(self._frame_ids) > 1:
+            first, second, *_ = self._frame_ids
+            told = *told, Finding('frames_differ', first=first, second=second)
+        if self._disordered:
+            told = *told, Finding('stamps_disordered', count=self._disordered)
+        return told
 
     def close(self) -> None:
         """Close the bag."""
@@ -242,7 +272,7 @@ def image_topics(path: str | Path) -> list[str]:
 
     """
     path = Path(path)
-    _check_files(path)
+    check_files(path)
     with readable(path):
         reader, _ = _opened(path)
         names = {connection.topic for connection in reader.connections
@@ -250,7 +280,7 @@ def image_topics(path: str | Path) -> list[str]:
         reader.close()
     # the same images in another coding would count twice
     return sorted(name for name in names
-                  if not (name.endswith('/compressed') and name[:-len('/compressed')] in names))
+                  if not (name.endswith(COMPRESSED) and name.removesuffix(COMPRESSED) in names))
 
 
 def has_image_topic(path: str | Path, topic: str) -> bool:
@@ -306,7 +336,7 @@ def open_bag(path: str | Path) -> Iterator[OpenBag]:
 
     """
     path = Path(path)
-    _check_files(path)
+    check_files(path)
     with readable(path):
         reader, deserialize = _opened(path)
     try:
@@ -337,60 +367,3 @@ def _shortened(names: list[str], limit: int = 12) -> str:
     """List names, not too many."""
     more = f' and {len(names) - limit} more' if len(names) > limit else ''
     return ', '.join(names[:limit]) + more
-
-
-def _format_name(path: Path) -> str:
-    return 'rosbag2 folder' if path.is_dir() else _KIND[path.suffix].split(' ', 1)[1]
-
-
-def _check_files(path: Path) -> None:
-    """Find what rosbags would not, or would say less clearly."""
-    if path.is_dir():
-        files = sorted(entry for entry in path.iterdir() if entry.suffix in ('.mcap', '.db3'))
-        closed = (path / 'metadata.yaml').is_file()
-        if not files and not closed:
-            raise InputError(f'{path} is no bag; give a folder with an .mcap or .db3 file in it.')
-        if not closed:
-            raise InputError(f'{path} has no metadata.yaml, so the recording was not closed; run '
-                             f'`ros2 bag reindex` on it, or give the file {files[0].name}.')
-        check_metadata(path)
-    else:
-        files = [path]
-        if is_compressed_file(path):
-            raise InputError(f'{path}: this bag is compressed; give its folder, '
-                             f'{path.absolute().parent}.')
-    for file in files:
-        _check_file(file)
-
-
-def _check_file(path: Path) -> None:
-    """Check magic number and, for SQLite, completeness."""
-    if path.exists() and path.suffix not in _MAGIC:
-        raise InputError(f'{path} is no bag; give a rosbag2 folder, or an .mcap, .db3 or .bag '
-                         'file.')
-    try:
-        size = path.stat().st_size
-        with path.open('rb') as stream:
-            head = stream.read(100)
-    except OSError as error:
-        raise InputError(f'{path} cannot be read: {error.strerror}.') from None
-    if size == 0:
-        raise InputError(f'{path} is empty (0 bytes); give another file.')
-    if not head.startswith(_MAGIC[path.suffix]):
-        raise InputError(f'{path} is not {_KIND[path.suffix]}, although its name ends in '
-                         f'{path.suffix}.')
-    if path.suffix == '.db3':
-        if set(str(path)) & set('?#%'):
-            raise InputError(f'{path} cannot be opened because SQLite takes the characters ?, # '
-                             'and % in a path for parts of an address; rename it.')
-        # SQLite notices missing pages only when a query meets them
-        page = int.from_bytes(head[16:18], 'big')
-        page = 65536 if page == 1 else page
-        pages = int.from_bytes(head[28:32], 'big')
-        if head[24:28] == head[92:96] and size < page * pages:
-            raise InputError(f'{path} is truncated: {size} of {page * pages} bytes are there.')
-        log = path.with_name(path.name + '-wal')
-        if log.is_file() and log.stat().st_size:
-            raise InputError(f'{path} was not closed by the recorder ({log.name} holds the rest); '
-                             f'open it once with `sqlite3 {path.name} "PRAGMA '
-                             'wal_checkpoint(TRUNCATE);"`.')

@@ -29,6 +29,7 @@ from msg_adapters.stamps import header_message
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.frame_source import Frame
+from selfcal_ros.values.output_files import check_place, refused_by_folder
 
 #: As rosbags names its plugins, but for the case.
 _STORAGES = ('mcap', 'sqlite3')
@@ -70,11 +71,13 @@ def write_image_bag(path: str | Path, frames: Iterable[Frame], topic: str = '/ca
     """
     path = Path(path)
     _check(path, topic, storage, compressed)
+    check_place(path)
+    parent = path.absolute().parent
     try:
         # the files inside carry the name of the folder, so it must be the final one
-        temporary = tempfile.mkdtemp(prefix='.selfcal-', dir=path.absolute().parent)
+        temporary = tempfile.mkdtemp(prefix='.selfcal-', dir=parent)
     except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror}.') from None
+        raise refused_by_folder(path, parent, error) from None
     try:
         inside = Path(temporary) / path.name
         count = _write(inside, frames, topic, storage, compressed, frame_id)

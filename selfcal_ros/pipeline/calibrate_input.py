@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import logging
 from pathlib import Path
 import sys
@@ -28,6 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
@@ -120,13 +121,40 @@ def calibrate_input(path: str | Path, settings: CalibrationSettings,
         If the input cannot be used; the sentence says what to do.
 
     """
+    odd = _check_facts(path, settings)
     if settings.robot is None:
-        return _calibrated(path, settings, progress)
+        result, reading = _calibrated(path, settings, progress)
+        return result, replace(reading, findings=(*odd, *reading.findings))
     from selfcal_ros.pipeline.robot.robot_mount import read_robot
     robot = read_robot(path, settings.robot, settings.mount_facts, topic=settings.topic,
                        image_size=settings.image_size, excerpt=settings.excerpt)
     result, reading = _calibrated(path, settings, progress)
+    reading = replace(reading, findings=(*odd, *reading.findings))
     return robot.mounted(result, reading, progress) if result else result, reading
+
+
+def _check_facts(path: str | Path, settings: CalibrationSettings) -> tuple[Finding, ...]:
+    """Refuse facts and frames that these images cannot have; tell of odd ones."""
+    facts, named = settings.facts, settings.translation_frames
+    if (facts.principal_point is None and not facts.skew and facts.line_delay_s is None
+            and named is None):
+        return ()
+    from selfcal_ros.pipeline.sources import open_source
+    with open_source(path, settings.topic, settings.image_size) as source:
+        size = source.image_size
+        if size is not None:
+            facts.check_for(size)
+        # of a video the number is an estimate
+        if named is not None and source.kind in ('bag', 'images') and source.count:
+            beyond = [one for one in named if not 0 <= one < source.count]
+            if beyond:
+                raise InputError(f'{path} has no image {beyond[0]}: its {source.count} images '
+                                 'are counted from 0.')
+    point = facts.principal_point
+    if point is None or size is None or all(0 <= u < most for u, most in zip(point, size)):
+        return ()
+    return Finding('stated_centre_outside', cx=point[0], cy=point[1], width=size[0],
+                   height=size[1]),
 
 
 def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progress | None,

@@ -82,6 +82,12 @@ class ImageFolderSource(FrameSource):
             raise InputError(f'{self.path} cannot be listed: {error.strerror}.') from None
         self._files = sorted((e for e in entries if e.suffix.lower() in IMAGE_SUFFIXES and
                               e.is_file()), key=lambda e: (natural_key(e.name), e.name))
+        lost = sorted(e.name for e in entries if e.suffix.lower() in IMAGE_SUFFIXES
+                      and e.is_symlink() and not e.exists())
+        if lost:
+            raise InputError(f'{self.path / lost[0]} is a link to a file that is not there'
+                             f'{f", as are {len(lost) - 1} more" if len(lost) > 1 else ""}; '
+                             'restore what the links lead to, or remove them.')
         if not self._files:
             raise InputError(self._nothing_here(entries))
         self.count = len(self._files)
@@ -182,7 +188,8 @@ class VideoSource(FrameSource):
             opened = False
         if not opened:
             raise InputError(f'{self.path} cannot be opened as a video; it is damaged, truncated '
-                             'or uses a codec that this OpenCV lacks.')
+                             'or uses a codec that this OpenCV lacks; give it anew, or a folder '
+                             'of its images.')
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         return capture
 

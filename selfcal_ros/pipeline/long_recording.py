@@ -15,8 +15,8 @@
 Long recordings: looked through sparsely, and followed where they say most of the camera.
 
 Neighbouring images of a drive tell the same, and most of a long drive is straight on. So a pair of
-images here and there tells how the image moves, the stretches that are worth most are followed
-image by image and calibrated each, and their calibrations are combined by their information.
+images here and there tells how the image moves. The stretches that are worth most are followed
+image by image and calibrated each. Their calibrations are combined by their information.
 """
 
 from __future__ import annotations

@@ -212,6 +212,9 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                             for one, source in zip(inputs, sources))
     topics = {one.name: source.topic for one, source in zip(inputs, sources)}
     kinds = {source.kind for source in sources}
+    for source in sources:
+        if source.image_size is not None:
+            settings.facts.check_for(source.image_size)
     mask = None
     if settings.mask is not None:
         from selfcal_ros.features.mask import read_mask
@@ -224,14 +227,14 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
     if 'tracks' in kinds:
         raise InputError('Give the images of all cameras, or tables of tracks of all.')
     from selfcal_ros.features.rig_extraction import extract_rig_tracks
-    chosen = _keyframes(sources[0], settings, progress, mask)
+    chosen = _keyframes(inputs[0].name, sources[0], settings, progress, mask)
     first = {frame.index: frame.image for frame in sources[0].only(chosen)}
     timed = all(source.clock != 'nominal' for source in sources)
     found = [AtInstants(first, {}, 0.0)]
-    for source in sources[1:]:
-        found.append(at_instants(source, chosen, sources[0].count, timed))
+    for one, source in zip(inputs[1:], sources[1:]):
         if progress:
-            progress('reading', len(found[-1].images), len(chosen))
+            progress(f'reading {one.name}', 0, None)
+        found.append(at_instants(source, chosen, sources[0].count, timed))
     frames = sorted(set.intersection(*(set(one.images) for one in found)))
     if len(frames) < MIN_INSTANTS:
         far = [f'the nearest of {one.name} are {at.apart_ms:.3g} ms away (median)'
@@ -242,7 +245,7 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
 
     def report(text: str, done: float) -> None:
         assert progress is not None
-        total = 1.0 if isinstance(done, float) else len(frames) * len(sources)
+        total = 1.0 if isinstance(done, float) else len(frames)
         progress(text, done, total)
 
     extracted = extract_rig_tracks(
@@ -272,8 +275,8 @@ def _of_tables(tables: Sequence[ExtractedTracks], max_keyframes: int | None,
         'keyframes_chosen', keyframes=len(chosen), frames=len(common)))
 
 
-def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Progress | None,
-               mask: ImageMask | None) -> dict[int, tuple[int, str]]:
+def _keyframes(name: str, source: FrameSource, settings: CalibrationSettings,
+               progress: Progress | None, mask: ImageMask | None) -> dict[int, tuple[int, str]]:
     """Choose images of the first camera; stamp and name of each, by index."""
     from selfcal_ros.features.extraction import extract_tracks
     most = settings.max_keyframes or USUAL_INSTANTS
@@ -296,6 +299,7 @@ def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Pro
         # followed from image to image, so that neighbours have enough in common
         indices = extract_tracks(
             frames(), mode='video', max_keyframes=most, mask=mask, rng=generator(settings.seed),
-            progress=None if progress is None else lambda text, done: progress(text, done, total),
+            progress=None if progress is None else lambda text, done: progress(
+                f'{text} of {name}', done, total),
             ).keyframes.tolist()
     return {index: seen[index] for index in indices}

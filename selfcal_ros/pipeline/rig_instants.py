@@ -15,8 +15,8 @@
 The images of other cameras at the instants of a first one, by stamps or by names.
 
 Cameras that are triggered together have images of the same instants. Of a camera with a clock of
-its own the nearest image is taken, and those before and after it, so that positions can be moved
-to the instant.
+its own the nearest image is taken, and those before and after it. With these, positions can be
+moved to the instant.
 """
 
 from __future__ import annotations

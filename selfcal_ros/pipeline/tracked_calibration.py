@@ -149,6 +149,7 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
             raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
         size = source.image_size
         assert size is not None, 'images have been seen'
+        facts.check_for(size)
         if start is not None and start.width and (start.width, start.height) != size:
             raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
                              f'is for {start.width}x{start.height} pixels.')

@@ -254,8 +254,8 @@ class TrackingSession:
         Raises
         ------
         InputError
-            If the image cannot be used: there is no camera or start pose yet, it has another
-            size than the camera was calibrated for, or it is older than the one before.
+            If the image cannot be used: there is no camera or start pose yet, its size is not the
+            camera's, or it is older than the one before.
 
         """
         if self._tracker is None or self._camera is None:

@@ -14,9 +14,9 @@
 """
 How far apart two calibrations are: in pixels over the image, and in sigmas.
 
-A rotation of one camera against the other cannot be told from a shift of its principal point by
-looking at images, so the best one is taken out first (as D. Kogan's mrcal does). What remains is
-tested against the covariances of both, in every direction that these leave free, at once.
+Images alone do not tell a rotation of one camera against the other from a shift of its principal
+point. So the best one is taken out first (as D. Kogan's mrcal does). What remains is tested
+against the covariances of both, in every direction that these leave free, at once.
 """
 
 from __future__ import annotations

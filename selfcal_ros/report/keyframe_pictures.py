@@ -14,8 +14,8 @@
 """
 Images that were calibrated from, with the tracks drawn over them.
 
-The images are read a second time, because a calibration keeps none; a few of them go into the
-page as small JPEGs, and all of those that were used give the points of the scene their colours.
+The images are read a second time, because a calibration keeps none. A few of them go into the page
+as small JPEGs. All of those that were used give the points of the scene their colours.
 """
 
 from __future__ import annotations

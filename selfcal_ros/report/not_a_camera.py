@@ -20,13 +20,14 @@ import os
 from pathlib import Path
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.values.foreign_files import BAG_BEGINNINGS
+from selfcal_ros.values.output_files import RECORDED
 
 #: How files begin that are no text: at which byte, with what, and what they are.
 _BEGINNINGS = ((0, b'\x89PNG', 'an image'), (0, b'\xff\xd8\xff', 'an image'),
                (0, b'II*\0', 'an image'), (0, b'MM\0*', 'an image'),
                (4, b'ftyp', 'a video'), (0, b'RIFF', 'a video'), (0, b'\x1aE\xdf\xa3', 'a video'),
-               (0, b'\x89MCAP', 'a bag'), (0, b'SQLite format 3\0', 'a bag'),
-               (0, b'#ROSBAG V', 'a bag'))
+               *((0, beginning, 'a bag') for beginning in BAG_BEGINNINGS.values()))
 
 
 def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
@@ -48,6 +49,8 @@ def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
             _refuse_recording(path, 'a bag')
+        if not _files_in(path) and any(one.suffix.lower() in RECORDED for one in path.iterdir()):
+            _refuse_recording(path, 'a folder of images')
         raise InputError(f'{path} is a folder, and no camera file; name '
                          f'{_files_in(path) or "a file in it"}.')
     kind = _kind_of(path)

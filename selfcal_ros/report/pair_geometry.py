@@ -14,8 +14,8 @@
 """
 Epipoles and screw axes of the pairs of views, in undistorted pixels.
 
-Either from the poses of a reconstruction, where they obey its motion model exactly, or from
-every pair's own fundamental matrix, where they tell whether that model holds.
+From the poses of a reconstruction they obey its motion model exactly. From every pair's own
+fundamental matrix they tell whether that model holds.
 """
 
 from __future__ import annotations

@@ -14,10 +14,10 @@
 """
 How uncertain a calibration makes projection: in pixels, over the image.
 
-Sigmas of single parameters mislead where parameters trade against each other, and a small
-rotation of the camera frame hides part of every error from whoever calibrates the mounting as
-well. So the covariance of all parameters is propagated to the image, after the small rotation that
-fits best (the reprojection uncertainty of D. Kogan's mrcal does so, too).
+Sigmas of single parameters mislead where parameters trade against each other. A small rotation of
+the camera frame hides part of every error from whoever calibrates the mounting as well. So the
+covariance of all parameters is propagated to the image, after the small rotation that fits best
+(the reprojection uncertainty of D. Kogan's mrcal does so, too).
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
     """
     Propagate the covariance of a camera to its image.
 
-    A ray that a pixel sees is projected by a camera that is off by one draw of the covariance
-    and turned by the small rotation that best undoes this over the whole image (first order).
+    A ray that a pixel sees is projected by a camera that is off by one draw of the covariance. A
+    small rotation turns it, the one that best undoes this over the whole image (first order).
 
     Parameters
     ----------

@@ -14,9 +14,9 @@
 """
 A rig of cameras as other programs want it: stereo camera files, a Kalibr chain, JSON.
 
-The stereo convention is that of `stereo_image_proc` and of OpenCV: R turns each camera to a
-common rectified frame whose x axis runs from the left camera to the right one, both P share f, cx
-and cy, and P of the right camera has -f b in its last column (metres).
+The stereo convention is that of `stereo_image_proc` and of OpenCV: R turns each camera to a common
+rectified frame whose x axis runs from the left camera to the right one. Both P share f, cx and cy.
+P of the right camera has -f b in its last column (metres).
 """
 
 from __future__ import annotations

@@ -28,6 +28,10 @@ from selfcal_ros.values.foreign_files import load_foreign_yaml, read_limited, SA
 MAX_BYTES = 1_000_000
 
 
+#: What to give in place of a file that is none.
+KNOWN = 'give one of ROS, OpenCV, Kalibr or COLMAP, or result.json'
+
+
 class _Loader(SAFE_LOADER):  # type: ignore[misc]
     """Safe YAML in which every scalar is the string that was written."""
 
@@ -56,7 +60,7 @@ def decoded(raw: bytes, source: str | Path) -> str:
     try:
         return raw.decode('utf-8-sig')
     except UnicodeDecodeError:
-        raise InputError(f'{source} is no camera file: it is not text.') from None
+        raise InputError(f'{source} is no camera file: it is not text; {KNOWN}.') from None
 
 
 def load_yaml(text: str, source: str) -> dict[str, Any]:
@@ -72,7 +76,7 @@ def load_yaml(text: str, source: str) -> dict[str, Any]:
     # a plain scan without Python objects, so that the name 00123 stays what it is
     document = load_foreign_yaml(text, source, _Loader)
     if not isinstance(document, dict):
-        raise InputError(f'{source} is no camera file: it holds no keys.')
+        raise InputError(f'{source} is no camera file: it holds no keys; {KNOWN}.')
     return document
 
 

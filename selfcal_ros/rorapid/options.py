@@ -17,15 +17,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import get_args, Literal, TypeAlias
 
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 
 #: 'rapid' (algorithm 7.1) and 'rorapid' (7.2) are the thesis's own; 'modern' is ours.
-METHODS = ('modern', 'rorapid', 'rapid')
-CAMERA_MODELS = ('perspective', 'zoom', 'weak', 'affine')
-MOTIONS = ('general', 'translation', 'planar')
+TrackerMethod: TypeAlias = Literal['modern', 'rorapid', 'rapid']
+TrackedCamera: TypeAlias = Literal['perspective', 'zoom', 'weak', 'affine']
+ObjectMotion: TypeAlias = Literal['general', 'translation', 'planar']
+METHODS: tuple[TrackerMethod, ...] = get_args(TrackerMethod)
+CAMERA_MODELS: tuple[TrackedCamera, ...] = get_args(TrackedCamera)
+MOTIONS: tuple[ObjectMotion, ...] = get_args(ObjectMotion)
 
 # name: (least, most) of the numbers that are checked alike
 _RANGES = {
@@ -101,9 +105,9 @@ class TrackerOptions:
 
     """
 
-    method: str = 'modern'
-    camera_model: str = 'perspective'
-    motion: str = 'general'
+    method: TrackerMethod = 'modern'
+    camera_model: TrackedCamera = 'perspective'
+    motion: ObjectMotion = 'general'
     plane_axis: tuple[float, float, float] | None = None
     control_points_per_line: int = 6
     control_points_per_conic: int = 10

@@ -14,8 +14,8 @@
 """
 Few images: general views of a cloud of points, and equal objects in one image.
 
-Both kinds fill the middle of the image whatever the camera is, also where its principal point
-lies far off the middle, as in an image that was cut out of a larger one.
+Both kinds fill the middle of the image whatever the camera is. That holds, too, where its
+principal point lies far off, as in an image that was cut out of a larger one.
 """
 
 from __future__ import annotations

@@ -44,8 +44,8 @@ class Recording:
     """
     An image sequence that is rendered when it is asked for.
 
-    Every image depends on the arguments and its own number alone, so that a long sequence need
-    not be held, and any image of it can be made again.
+    Every image depends on the arguments and its own number alone. So a long sequence need not be
+    held, and any image of it can be made again.
 
     Parameters
     ----------
@@ -222,9 +222,9 @@ def arm_move(views: int = 24, size: tuple[int, int] = (640, 480), camera: Camera
     """
     Move a camera on an arm over a bench: translations, then rotations, then both.
 
-    The first third of the views are pure translations along different axes, the second third
-    turn about different axes at small translations, the rest move in general. The labels say
-    which is which.
+    The first third of the views are pure translations along different axes. The second third turn
+    about different axes at small translations. The rest move in general. The labels say which is
+    which.
 
     Parameters
     ----------

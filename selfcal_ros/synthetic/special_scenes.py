@@ -40,7 +40,7 @@ def circular_motion(rng: np.random.Generator, noise_px: float = 0.1, views: int 
     SI on a turntable: the camera circles an axis, facing it with aside = 0.
 
     With `aside` the axis stands so far to the left of the grid's centre, in units of the grid's
-    side, that the principal point does not lie on the image of the axis.
+    side. Then the principal point does not lie on the image of the axis.
     """
     mount = mount_from_axis(si_axis() if options.get('axis') is None else options['axis'])
     centre = np.array([4.0 * mount[2, 0], aside])

@@ -24,6 +24,9 @@ import yaml
 
 from selfcal_ros.errors import InputError
 
+#: How a bag begins, by the suffix of its name.
+BAG_BEGINNINGS = {'.mcap': b'\x89MCAP0\r\n', '.db3': b'SQLite format 3\0',
+                  '.bag': b'#ROSBAG V2.0'}
 #: Entries that a YAML file may have, its aliases written out.
 MAX_ENTRIES = 500_000
 #: Lists and mappings within each other.

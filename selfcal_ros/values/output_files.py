@@ -107,7 +107,7 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
     """
     path = Path(path)
-    _check_place(path)
+    check_place(path)
     if not _is_special(path):
         name = _temporary(path)
         os.unlink(name)
@@ -178,7 +178,7 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes, replace: bool 
     path = Path(path)
     # a file name that is not UTF-8 comes with bytes that are no characters
     data = data.encode('utf-8', 'backslashreplace') if isinstance(data, str) else bytes(data)
-    _check_place(path)
+    check_place(path)
     try:
         if _is_special(path):
             with path.open('wb') as stream:
@@ -218,17 +218,33 @@ def _move(temporary: str, path: Path, replace: bool) -> None:
     os.replace(temporary, place)
 
 
-def _check_place(path: Path) -> None:
-    """Refuse folders, and files in folders that do not exist."""
+def check_place(path: Path, makes_folders: bool = False) -> None:
+    """
+    Refuse folders, and files in what is no folder.
+
+    Parameters
+    ----------
+    path : Path
+    makes_folders : bool
+        Folders that are missing will be made; else they are refused, too.
+
+    Raises
+    ------
+    InputError
+
+    """
     try:
         if path.is_dir():
             raise InputError(f'{path} is a folder; give the name of a file in it.')
         parent = Path(os.path.realpath(path)).parent
+        if makes_folders:
+            parent = next(one for one in (parent, *parent.parents) if one.exists())
         if not parent.exists():
             raise InputError(f'{path} cannot be written: the folder {parent} does not exist; '
                              'make it first.')
         if not parent.is_dir():
-            raise InputError(f'{path} cannot be written: {parent} is not a folder.')
+            raise InputError(f'{path} cannot be written: {parent} is not a folder; name another '
+                             'file.')
     except (OSError, ValueError) as error:
         raise InputError(f'{str(path)!r:.200} cannot be written: {_why(error)}.') from None
 
@@ -246,10 +262,15 @@ def _temporary(path: Path) -> str:
     try:
         descriptor, name = tempfile.mkstemp(prefix='.selfcal-', dir=parent)
     except OSError as error:
-        raise InputError(f'{path} cannot be written: the folder {parent} refuses new files '
-                         f'({_why(error)}); choose another folder.') from None
+        raise refused_by_folder(path, Path(parent), error) from None
     os.close(descriptor)
     return name
+
+
+def refused_by_folder(path: Path, folder: Path, error: OSError) -> InputError:
+    """Return the sentence for a file or folder that cannot be made where it should be."""
+    return InputError(f'{path} cannot be written: the folder {folder} refuses new files '
+                      f'({_why(error)}); choose another folder.')
 
 
 def _mode(path: Path) -> int:

@@ -39,8 +39,8 @@ def polyhedron(mesh: MeshModel) -> WireframeModel | None:
     Returns
     -------
     WireframeModel or None
-        None where the mesh is open, has more than 60 faces, a face with a hole, or faces that meet
-        in less than a crease: then it is round, or nearly so.
+        None where the mesh is open, has more than 60 faces or a face with a hole. None, too, where
+        faces meet in less than a crease: then it is round, or nearly so.
 
     """
     triangles, normals = mesh.triangles, mesh.normals

@@ -15,14 +15,12 @@
 
 from bench.lenses.uneven_lenses import bumps, one_run, walks
 import numpy as np
-import pytest
 from selfcal_ros import Tracks
 
 
-@pytest.mark.parametrize('seed', [2, 38, 54])
-def test_eight_images_of_a_drive_are_no_turn_about_a_far_point(seed):
-    """The principal point was 6 to 10 sigmas off in silence."""
-    outcome = one_run(seed, 24 if seed == 2 else 40)
+def test_eight_images_of_a_drive_are_no_turn_about_a_far_point():
+    """The principal point was 6 to 10 sigmas off in silence; the bench has more of them."""
+    outcome = one_run(38, 40)
 
     assert outcome.error is not None and np.abs(outcome.error).max() < 4
 

@@ -19,11 +19,11 @@ from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.calibration.bundle.centres import points_from_centres
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
-VIEWS = 8
+VIEWS = 6
 MIDDLE = np.array([320.0, 240.0])
-ALONG = np.random.default_rng(0).uniform(0, 1, 150)
+ALONG = np.random.default_rng(0).uniform(0, 1, 60)
 ROUND = 2 * np.pi * ALONG
-GRID = np.stack(np.meshgrid(np.linspace(-250, 250, 12), np.linspace(-180, 180, 9)),
+GRID = np.stack(np.meshgrid(np.linspace(-250, 250, 8), np.linspace(-180, 180, 6)),
                 axis=-1).reshape(-1, 2)
 
 

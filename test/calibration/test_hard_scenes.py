@@ -47,9 +47,9 @@ def test_what_the_images_determine_is_found(name):
     assert away < 4
 
 
-@pytest.mark.parametrize('seed', [0, 1])
-def test_a_wall_does_not_take_its_mirror_image(seed):
-    result, away = outcome('wall only', seed)
+# `bench hard_scenes` has more seeds of all of them
+def test_a_wall_does_not_take_its_mirror_image():
+    result, away = outcome('wall only', 0)
 
     assert result, result.reason
     assert away < 4
@@ -76,15 +76,14 @@ def test_what_the_images_leave_open_is_refused(name, kind):
 
 @pytest.mark.parametrize('name', ['on the spot, no translation', 'on the spot, 1 mm off the axis',
                                   'far scene, 2000 steps away'])
-@pytest.mark.parametrize('seed', [0, 3])
-def test_rotation_is_told_from_motion_with_little_parallax(name, seed):
-    result, away = outcome(name, seed)
+def test_rotation_is_told_from_motion_with_little_parallax(name):
+    result, away = outcome(name, 0)
 
     assert result.motion == 'rotation'
     assert away < 4
 
 
-@pytest.mark.parametrize('seed, refused', enumerate((True, False, True, False)))
+@pytest.mark.parametrize('seed, refused', enumerate((True, False)))
 def test_a_long_valley_widens_the_sigmas(seed, refused):
     """Around a near axis the curvature at the optimum promises sigmas that are too small."""
     result, away = outcome('on the spot, 0.1 m off the axis', seed)

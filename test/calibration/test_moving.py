@@ -158,6 +158,24 @@ def test_tracks_that_jump_are_used_in_two_parts():
     assert len(result.reconstructed.tracks) > len(np.unique(tracks.track))
 
 
+@pytest.mark.parametrize('seed', [0, 3])
+def test_a_pattern_on_few_tracks_is_named_and_patches_that_drift_are_none(seed):
+    def told(tracks):
+        result = calibrate(tracks, motion='general', facts=FACTS)
+        assert result and np.abs(off_by(result)).max() < 4
+        return [one.kind for one in result.findings]
+
+    rng = np.random.default_rng(seed)
+    assert 'tracks_jump' in told(world(rng, jumping=6))
+    tracks = world(np.random.default_rng(seed))
+    first = np.full(150, VIEWS)
+    np.minimum.at(first, tracks.track, tracks.frame)
+    way = rng.normal(size=(150, 2)) * (rng.random(150) < 0.08)[:, None]
+    since = (tracks.frame - first[tracks.track]) / VIEWS
+    drifted = tracks.xy + 2.0 * since[:, None] * way[tracks.track]
+    assert 'tracks_jump' not in told(Tracks(tracks.frame, tracks.track, drifted, (640, 480)))
+
+
 def test_few_tracks_that_jump_are_told_beside_few_that_nothing_explains():
     def told(jumped, unexplained, still=500):
         label = np.repeat([JUMPED, UNEXPLAINED, STATIC], [jumped, unexplained, still])

@@ -91,7 +91,7 @@ def test_degenerate_sequences_are_refused_with_the_reason(name, kind, seed):
     assert result.kind == kind
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', range(2))
 def test_a_camera_that_only_rotates_is_calibrated_as_such(seed):
     sequence = special_scenes.pure_rotation(np.random.default_rng(seed), 0.2, views=6)
     result = calibrate(sequence.tracks, facts=SQUARE)
@@ -105,9 +105,8 @@ def test_a_camera_that_only_rotates_is_calibrated_as_such(seed):
     assert np.abs(deviations(result, sequence.camera)).max() < 4
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_one_plane_is_refused_in_every_motion(seed):
-    sequence = special_scenes.coplanar_points(np.random.default_rng(seed), 0.2)
+def test_one_plane_is_refused_in_every_motion():
+    sequence = special_scenes.coplanar_points(np.random.default_rng(0), 0.2)
     for motion in ('auto', 'general', 'rotation'):
         assert not calibrate(sequence.tracks, motion=motion, facts=SQUARE)
 
@@ -143,7 +142,7 @@ def test_turning_on_the_spot_does_not_end_beside_the_optimum():
     points = rng.uniform((-12, -12, -1.2), (15, 12, 2.5), (6000, 3))
     tracks = planar_sequence(rng, camera, pitched_mount(np.radians(20)), heading, path, points,
                              0.1, only_inside=True).tracks.with_at_least(3)
-    tracks = tracks.select(tracks.track < 3000)
+    tracks = tracks.select(tracks.track < 1000)
 
     result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1, skew=0, distortion='radial2'))
 

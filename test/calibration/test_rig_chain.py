@@ -43,7 +43,7 @@ def chain():
         back = np.linalg.inv(T[name])
         poses[name] = back[:3, :3] @ path
         poses[name][:, :, 3] += back[:3, 3]
-        seen.append(placed_points(rng, CAMERAS[name], poses[name], 400, 8))
+        seen.append(placed_points(rng, CAMERAS[name], poses[name], 250, 8))
     points, visible = (np.concatenate([one[k] for one in seen], axis=k) for k in (0, 1))
     tracks = {name: observe(rng, CAMERAS[name], poses[name], points, 0.3, only_inside=True,
                             seen=visible).tracks for name in CAMERAS}

@@ -48,7 +48,7 @@ def _off(result, scene, T):
 def test_a_late_camera_is_told_with_its_time_and_is_in_the_sigmas(share):
     rng = np.random.default_rng(0)
     path = hand_path(rng, 14)
-    scene = rig_scene(rng, path, False, points=300, of_second=late_path(path, share))
+    scene = rig_scene(rng, path, False, points=200, of_second=late_path(path, share))
     result = calibrate_rig(scene.tracks, facts=FACTS)
     told, = _told(result)
     assert told.kind == 'rig_clocks_differ' and told.values['camera'] == 'right'
@@ -67,7 +67,7 @@ def test_a_late_camera_is_told_with_its_time_and_is_in_the_sigmas(share):
 def test_a_refusal_names_the_late_camera():
     rng = np.random.default_rng(0)
     path = hand_path(rng, 14)
-    scene = rig_scene(rng, path, True, points=300, of_second=late_path(path, 0.03))
+    scene = rig_scene(rng, path, True, points=200, of_second=late_path(path, 0.03))
     result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS)
     assert not result and result.kind == 'rig_clocks_apart' and 'right' in str(result)
 
@@ -76,7 +76,7 @@ def test_a_refusal_names_the_late_camera():
 def test_a_knock_is_told_with_its_frame_and_both_poses_are_in_the_sigmas(overlap):
     rng = np.random.default_rng(0)
     path, turn = driven_path(24), np.radians([0.2, 0.3, -0.2])
-    scene = rig_scene(rng, path, overlap, points=300, of_second=knocked_path(path, turn, 12))
+    scene = rig_scene(rng, path, overlap, points=200, of_second=knocked_path(path, turn, 12))
     result = calibrate_rig(scene.tracks, shared_tracks=overlap, facts=FACTS)
     told, = _told(result)
     assert told.kind == 'rig_pose_changed' and told.values['frame'] == 12
@@ -92,7 +92,7 @@ def test_a_knock_is_told_with_its_frame_and_both_poses_are_in_the_sigmas(overlap
 def test_a_refusal_names_the_knocked_camera_and_the_frame():
     rng = np.random.default_rng(0)
     path = driven_path(24)
-    scene = rig_scene(rng, path, True, points=300,
+    scene = rig_scene(rng, path, True, points=200,
                       of_second=knocked_path(path, np.radians([1.2, 1.0, -1.2]), 12))
     result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS)
     assert not result and result.kind == 'rig_knocked' and 'before frame 12' in str(result)
@@ -101,7 +101,7 @@ def test_a_refusal_names_the_knocked_camera_and_the_frame():
 @pytest.mark.parametrize('overlap', [True, False])
 def test_a_rigid_rig_is_not_suspected(overlap):
     rng = np.random.default_rng(4)
-    scene = rig_scene(rng, hand_path(rng, 14), overlap, points=300)
+    scene = rig_scene(rng, hand_path(rng, 14), overlap, points=200)
     result = calibrate_rig(scene.tracks, shared_tracks=overlap, facts=FACTS)
     assert not _told(result)
     assert _off(result, scene, scene.T_rig_camera['right']).max() < 3.5

@@ -22,10 +22,16 @@ from selfcal_ros.synthetic.special_scenes import drive
 @pytest.fixture(scope='session')
 def driven(tmp_path_factory):
     """Write the tracks of a drive; returns the file and the true camera."""
-    sequence = drive(np.random.default_rng(3), noise_px=0.1, views=14, tracks=500)
+    sequence = drive(np.random.default_rng(3), noise_px=0.1, views=12, tracks=250)
     path = tmp_path_factory.mktemp('drive') / 'tracks.csv'
     sequence.tracks.to_csv(path)
     return path, sequence.camera
+
+
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Spare the time of figures where it matters only that a report is written."""
+    monkeypatch.setattr('selfcal_ros.report.figures.draw_figures', lambda *_: [])
 
 
 @pytest.fixture(autouse=True)

@@ -117,7 +117,8 @@ def test_options_become_facts(arguments, expected):
     assert facts_from(parser.parse_args(arguments)) == expected
 
 
-def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, monkeypatch):
+def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, monkeypatch,
+                                                                      without_figures):
     from selfcal_ros.pipeline import calibrate_input
     plain = calibrate_input.calibrate_input
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from selfcal_ros import Camera
+from selfcal_ros.cli.demo import log_folder, logs_in
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.pipeline import calibrate_input, tracking_run
 from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -54,7 +55,8 @@ def test_a_camera_file_of_an_earlier_run_is_replaced_where_nobody_has_named_it(d
                                        'camera.yaml')
 
 
-def test_missing_folders_of_outputs_are_made_but_for_what_is_refused(driven, capsys):
+def test_missing_folders_of_outputs_are_made_but_for_what_is_refused(driven, capsys,
+                                                                     without_figures):
     assert selfcal('calibrate', driven[0], *SIZE, '-q', '--output', 'a/b/c.yaml', '--json',
                    'r/result.json', '--report', 'p/q/report.html', '--colmap', 'm/n') == 0
     for name in ('a/b/c.yaml', 'r/result.json', 'p/q/report.html', 'm/n/cameras.txt'):
@@ -105,7 +107,8 @@ def test_every_verb_keeps_a_camera_or_a_model(arguments, capsys, monkeypatch):
     assert all(path.read_text(encoding='utf-8') == MINE for path in mine)
 
 
-def test_what_is_derived_is_replaced_and_an_empty_file_is_no_camera(driven, capsys):
+def test_what_is_derived_is_replaced_and_an_empty_file_is_no_camera(driven, capsys,
+                                                                    without_figures):
     for name in ('old.json', 'old.html', 'old.ply'):
         Path(name).write_text(MINE, encoding='utf-8')
     Path('empty.yaml').touch()
@@ -143,6 +146,22 @@ def test_an_interrupted_demo_leaves_no_folder_of_logs(recording, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         selfcal('demo', '--recording', recording)
     assert Path('selfcal_demo/log').is_dir()
+
+
+def test_the_logs_of_the_last_demo_replace_those_of_earlier_ones():
+    log = Path('folder/log')
+    log.mkdir(parents=True)
+    for name in ('python_12_3400.log', 'notes.log'):
+        (log / name).touch()
+    with pytest.raises(KeyboardInterrupt), log_folder(log.parent):
+        raise KeyboardInterrupt
+    with log_folder(log.parent):
+        # a user may send logs elsewhere
+        pass
+    assert logs_in(log.parent) == {log / 'python_12_3400.log'}
+    with log_folder(log.parent):
+        (log / 'python_13_3500.log').touch()
+    assert sorted(one.name for one in log.iterdir()) == ['notes.log', 'python_13_3500.log']
 
 
 def _stop(_):

@@ -73,7 +73,8 @@ def test_the_moves_of_an_arm_are_told_from_a_drive_and_their_scene_is_written(ca
     assert len(points) > 800 and (points['x'] > 0).all()
     # grey images, and texture in them
     assert (points['red'] == points['blue']).all() and np.ptp(points['red']) > 50
-    assert 'Written: camera.yaml, path.tum, scene.ply, model, transforms.json, sparse_' in said
+    assert ('Written: camera.yaml, path.tum, scene.ply, model, transforms.json, sparse_pc.ply, '
+            'images.') in said
     # the path, of which a step is 1, against the truth
     rows = np.loadtxt('path.tum')
     assert len(rows) == len(cameras) / 5 == len(edges) / 8 and np.ptp(rows[:, 1:4]) > 2
@@ -149,7 +150,7 @@ def test_a_camera_that_only_rotates_is_calibrated_as_such(capsys):
     (['--poses', 'path'], 'add --poses-format'),
     (['--poses-format', 'euroc'], 'needs --poses'),
     (['--poses', 'tracks.csv'], 'is the input tracks.csv'),
-    (['--poses', 'a.tum', '--ply', 'a.tum'], 'same name'),
+    (['--poses', 'a.tum', '--json', 'a.tum'], 'same name'),
     (['--transforms', 't.json'], 'has none; leave it out'),
     (['--colmap', 'tracks.csv'], 'takes the name of a folder'),
     (['--colmap', 'tracks.csv/model'], 'tracks.csv is a file'),

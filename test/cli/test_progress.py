@@ -19,7 +19,7 @@ import re
 import pytest
 from selfcal_ros.cli import progress as module
 from selfcal_ros.cli.progress import Progress
-from selfcal_ros.cli.time_left import TimeLeft
+from selfcal_ros.cli.time_left import rig_courses, TimeLeft
 from test_support.command_line import selfcal, SIZE
 
 
@@ -73,6 +73,25 @@ def test_what_is_left_counts_the_stages_to_come(work):
     assert left.seconds('estimating', 0, None, 70.0) == pytest.approx(40.0)
     # nobody knows of other stages
     assert left.seconds('waiting', 1, 10, 80.0) is None
+
+
+def test_a_stage_begins_with_what_is_left_where_its_course_tells(work):
+    course = ((('tracking', None), ('estimating', 60), ('writing', 60)),)
+    lines = work(io.StringIO(), 60, courses=course).splitlines()
+    # 240 images of 1 s, of which 60 were followed; then what is worth 120
+    assert re.search(r'estimating \.\.\. \(about \d+ (s|min) left in all\)$', lines[-2])
+
+
+def test_what_is_left_of_a_rig_counts_all_cameras():
+    left = TimeLeft(rig_courses(['left', 'right']))
+    left.seconds('tracking of left', 0, 100, 0.0)
+    # 100 images in 10 s: 1240 more in what the other stages are worth
+    assert left.seconds('tracking of left', 100, 100, 10.0) == pytest.approx(124.0)
+    # few images are not followed first
+    left = TimeLeft(rig_courses(['left', 'right']))
+    left.seconds('reading right', 0, None, 0.0)
+    left.seconds('features of left', 0, 20, 2.0)
+    assert left.seconds('features of left', 20, 20, 12.0) == pytest.approx(112.0)
 
 
 def test_short_work_is_silent_unless_v_asks_for_its_stages(work):

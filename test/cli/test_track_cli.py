@@ -77,7 +77,8 @@ def test_poses_of_an_earlier_run_are_said_to_be_replaced(capsys):
     ([BAG, '--model', 'open.ply', '--init', '0 0 -1 0 0 0', *CAMERA], 'behind the camera'),
     ([BAG, *OBJECT, '--camera', 'small.yaml'], '480x360, the calibration is for 320x240'),
     ([BAG, *OBJECT, *CAMERA, '--overlay', 'video.txt'], '.mp4'),
-    ([BAG, *OBJECT, *CAMERA, '--output', 'v.mp4', '--overlay', 'v.mp4'], 'same name'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'v.csv', '--overlay', 'v.csv'], 'same name'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'p.json'], 'are a table, and must be named .csv.'),
     ([BAG, *OBJECT, *CAMERA, '--output', 'tracks.csv/p.csv'], 'tracks.csv is a file'),
     ([BAG, *OBJECT, *CAMERA, '--camera-model', 'affine', '--motion', 'planar'], 'affine'),
     (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])
@@ -99,8 +100,8 @@ def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     assert sorted(Path().iterdir()) == before, 'nothing half-written'
 
 
-def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys):
-    recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0)
+def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys, without_figures):
+    recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0, supersampling=2)
     write_image_folder(recording, 'images')
     write_model(recording.model, 'model.yaml')
     pose = ' '.join(f'{v:.4f}' for v in (*recording.translations[0],

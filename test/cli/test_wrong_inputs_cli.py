@@ -32,6 +32,10 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
      'you mean --report?'),
     (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
     (['calibrate', 'x.csv', '--motion', 'pivot'], 'leave --motion out, or say auto'),
+    (['calibrate', 'x.csv', '--lens', 'fisheye'], 'fisheye is called equidistant here; selfcal'),
+    (['calibrate', 'x.csv', '--output', 'c.json'], 'c.json is YAML, and must be named .yaml.'),
+    (['calibrate', 'x.csv', '--ply', 'c.obj'], 'c.obj is PLY, and must be named .ply.'),
+    (['calibrate', 'x.csv', '--motion', 'general', '--views', '3'], 'four or more; or limit'),
     (['track', 'x', '--model', 'm', '--init', '0.1', '0', '0.4', '2', '1', '0'], 'selfcal track: '
      'argument --init: the six numbers go in quotes: --init "0.1 0 0.4 2.1 0.8 0.1"'),
     (['calibrate', '--init', '-0.1', '0', '0.4', '2', '1', '0', 'x'], 'go in quotes'),
@@ -81,14 +85,19 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['good.csv', '--output', 'good.csv/such/camera.yaml'], 'is not a folder'),
     (['good.csv', '--json', 'camera.yaml'],
      '--output and --json have the same name, camera.yaml; give each its own file.'),
-    (['good.csv', '--output', 'hollow/../good.csv'], 'is the input good.csv'),
+    (['good.csv', '--json', 'hollow/../good.csv'], 'is the input good.csv'),
     (['good.csv', '--json', 'good.csv'], 'is the input good.csv'),
     (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
+    (['good.csv', '--skew-sigma', '1e200'], 'a number from 1e-15 to 1e+15, not 1e+200'),
+    (['good.csv', '--principal-point', '1e9', '5'], 'The principal point (1e+09, 5) is far '
+     'outside of images of 640x480 pixels; state it in their pixels, or leave it open.'),
+    (['good.csv', '--skew', '5000'], 'A skew of 5000 px is impossible in images of 640x480'),
+    (['good.csv', '--line-delay', '0.009'], 'from one row to the next, about 7e-05, or leave'),
     (['good.csv', '--topic', '/image'], 'topic'),
     (['good.csv', '--motion', 'known-object'], 'needs --object'),
     (['good.csv', '--motion', 'repeated', '--focal', 'varying'], 'leave it out'),
-    (['good.csv', '--ply', 'camera.yaml'], 'same name'),
+    (['good.csv', '--ply', 'a.ply', '--json', 'a.ply'], 'same name'),
     (['good.csv', '--max-keyframes', '1'], 'at least 3'),
     (['good.csv', '--image-size', '0', '480'], 'image size'),
 ])
@@ -128,6 +137,8 @@ def bad_inputs():
     (['good', '--output-dir', 'x'], 'many recordings'),
     (['truncated.mcap'], 'truncated'), (['truncated.mcap'], 'try `mcap recover` on it'),
     (['mixed'], 'change size'), (['folder'], 'folder'),
+    (['good', '--motion', 'translation', '--translation-frames', '0', '99'],
+     'good has no image 99: its 8 images are counted from 0.'),
     (['good', '--topic', '/nothing'], '/camera/image_raw')])
 def test_a_broken_recording_is_status_2_in_one_sentence(bad_inputs, capsys, arguments, words):
     before = sorted(Path().rglob('*'))

@@ -109,11 +109,14 @@ def _named():
         for node in ast.walk(tree):
             if not isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)):
                 continue
+            codes = re.findall(r'(?<!`)`([^`\n]+)`(?!`)', ast.get_docstring(node) or '')
+            if not codes:
+                continue
             inner = [] if isinstance(node, ast.Module) else ast.walk(node)
             taken = {one.arg for one in inner if isinstance(one, ast.arg)} | {
                 one.target.id for one in node.body
                 if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)}
-            for code in re.findall(r'(?<!`)`([^`\n]+)`(?!`)', ast.get_docstring(node) or ''):
+            for code in codes:
                 found = re.match(r'[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*(?=\(|$)', code)
                 if found:
                     place = f'{path.relative_to(ROOT)}: {getattr(node, "name", "its start")}'

@@ -117,9 +117,12 @@ def test_mask_files(tmp_path):
     cv2.imwrite(str(tmp_path / 'deep.png'), picture[:, :, 0].astype(np.uint16))
     assert read_mask(tmp_path / 'deep.png').share == 0.75
     cv2.imwrite(str(tmp_path / 'black.png'), 0 * picture)
+    cv2.imwrite(str(tmp_path / 'photo.png'), np.random.default_rng(0).integers(
+        20, 230, (60, 80), np.uint8))
     (tmp_path / 'text.png').write_text('white\n')
     (tmp_path / 'empty.png').write_bytes(b'')
-    for name, words in (('black.png', 'is black all over'), ('text.png', 'is no image'),
+    for name, words in (('black.png', 'is black all over'),
+                        ('photo.png', 'is a photograph; give'), ('text.png', 'is no image'),
                         ('empty.png', 'is no image'), ('none.png', 'cannot be read: No such'),
                         ('', 'cannot be read: Is a directory')):
         with pytest.raises(InputError, match=words):

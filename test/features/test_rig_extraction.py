@@ -43,7 +43,13 @@ def test_what_two_cameras_see_has_one_number():
                    for k in range(4)] for name, off in (('left', 0.0), ('right', 0.08))}
     images = {name: [cv2.warpPerspective(picture, H, SIZE) for H in some]
               for name, some in maps.items()}
-    found = extract_rig_tracks(images, [3, 5, 8, 9], rng=np.random.default_rng(1))
+    told = []
+    found = extract_rig_tracks(images, [3, 5, 8, 9], rng=np.random.default_rng(1),
+                               progress=lambda text, done: told.append((text, done)))
+    # the last of each stage is all of it
+    assert {text: done for text, done in told} == {
+        'features of left': 4, 'matching of left': 1.0, 'features of right': 4,
+        'matching of right': 1.0, 'registration': 0}
     left, right = found.tracks.values()
     assert found.shared > 30 and left.frames.tolist() == [3, 5, 8, 9]
     # one number is one place of the picture

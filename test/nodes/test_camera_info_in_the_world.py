@@ -71,7 +71,7 @@ class Drive:
 
     def __init__(self, graph, window=ImageWindow(), full=(0, 0)):
         self.graph = graph
-        self.scene = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
+        self.scene = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=300)
         self.node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)

@@ -26,7 +26,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.task import Future
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibrator_node import CalibratorNode
@@ -82,10 +82,10 @@ def test_a_place_where_no_file_can_be_is_refused_before_the_drive(monkeypatch, t
     Path('file').touch()
     for place, words in (('folder', 'folder is a folder; give the name of a file in it.'),
                          ('file/x/front.yaml', 'file is not a folder; name another file.')):
-        with pytest.raises(ArgumentError) as refused:
+        with pytest.raises(InputError) as refused:
             CalibrationFile('front', str(tmp_path / place))
         assert str(refused.value).endswith(words)
-        with pytest.raises(ArgumentError):
+        with pytest.raises(InputError):
             CalibrationFile('front', place)
     assert CalibrationFile('front', 'folder/new/front.yaml').path == Path('folder/new/front.yaml')
 

@@ -110,7 +110,7 @@ class Tree:
 @pytest.mark.ros
 @pytest.mark.parametrize('source', [Wheels, pytest.param(Tree, marks=needs_tf)])
 def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, source):
-    sequence = drive(np.random.default_rng(11), noise_px=0.1, views=VIEWS, tracks=700)
+    sequence = drive(np.random.default_rng(11), noise_px=0.1, views=VIEWS, tracks=300)
     mount, poses = robot_of(sequence, np.random.default_rng(3))
     graph, types = graph(), rclpy_types()
     infos = graph.listen(CameraInfo, 'camera_info')

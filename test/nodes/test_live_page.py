@@ -81,7 +81,7 @@ class Stage:
         self.node = graph.add(CalibrationPage())
         self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 30)
         self.camera = graph.probe.create_publisher(Image, 'image', 5)
-        self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
+        self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=300)
         self.browser = browser
         self.page = None
 

@@ -49,7 +49,7 @@ class Drive:
     def __init__(self, graph, sequence=None):
         self.graph = graph
         self.sequence = sequence or drive(np.random.default_rng(11), noise_px=0.1, views=20,
-                                          tracks=700)
+                                          tracks=400)
         graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         self.infos = graph.listen(CameraInfo, 'camera_info')

@@ -206,11 +206,10 @@ def test_names_and_paths_that_cannot_be_are_refused_and_the_calibrator_goes_on(g
     ('planar_calibrator', 'set_camera_info_service:=bad name'),
     ('planar_calibrator', 'output:=~nobody_of_this_name/x.yaml'),
     ('camera_info_publisher', 'camera_info_url:=~nobody_of_this_name/x.yaml')])
-def test_names_and_paths_that_cannot_be_are_a_sentence_at_the_start(launch, module, given):
-    node = launch(module, '-p', given)
-    assert node.process.wait(30) == 2
-    node._reader.join(5)
-    assert node.has_said(given.partition(':=')[2]) and 'Traceback' not in node.said
+def test_names_and_paths_that_cannot_be_are_a_sentence_at_the_start(ended, module, given):
+    status, said = ended(module, '-p', given)
+    assert status == 2
+    assert given.partition(':=')[2] in said and 'Traceback' not in said
 
 
 def test_a_publisher_without_a_file_takes_what_does_not_concern_the_file(graph, launch):

@@ -142,12 +142,21 @@ def test_a_signal_at_once_ends_a_node_silently(start, name):
     ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere'),
     ('feature_tracker', ['-p', 'max_features:=1'], 'max_features must be from 20 to 5000'),
     ('planar_calibrator', ['-p', 'camera_name:=a/b'], 'camera_name'),
-    ('planar_calibrator', ['--params-file', '/nowhere.yaml'], 'nowhere.yaml')])
-def test_a_wrong_input_is_one_sentence_and_status_2(start, name, arguments, words):
-    process = start(name, *arguments)
+    ('planar_calibrator', ['--params-file', '/nowhere.yaml'],
+     'The parameter file /nowhere.yaml does not exist; name another.')])
+def test_a_wrong_input_is_one_sentence_and_status_2(ended, name, arguments, words):
+    status, errors = ended(name, *arguments)
+    assert status == 2, errors
+    assert words in errors and 'Traceback' not in errors
+
+
+def test_a_process_with_a_wrong_input_ends_with_the_sentence_and_the_status(start):
+    process = start('planar_calibrator', '--params-file', '/nowhere.yaml')
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 2, errors
-    assert words in errors and 'Traceback' not in errors
+    assert 'does not exist' in errors
+    # rcl has nothing to add
+    assert errors.count('\n') == 1
 
 
 @pytest.mark.parametrize('name', ['feature_tracker', 'planar_calibrator', 'affine_calibrator',

@@ -13,6 +13,9 @@
 # limitations under the License.
 """The bag writer: whole bags or none; what it writes is read back in test_sources.py."""
 
+import errno
+import tempfile
+
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
@@ -34,6 +37,18 @@ def test_colour_is_written_where_there_is_some(tmp_path, compressed):
         assert (next(iter(source)).bgr == bgr).all() and source.frame_id == 'front'
 
 
+def test_a_folder_that_takes_no_bag_asks_for_another(tmp_path, monkeypatch):
+    def refused(**_):
+        raise OSError(errno.EROFS, 'Read-only file system')
+
+    monkeypatch.setattr(tempfile, 'mkdtemp', refused)
+    with pytest.raises(InputError) as caught:
+        write_image_bag(tmp_path / 'bag', frames())
+    assert str(caught.value) == (
+        f'{tmp_path / "bag"} cannot be written: the folder {tmp_path} refuses new files '
+        '(Read-only file system); choose another folder.')
+
+
 def test_the_bag_writer_leaves_nothing_half_written(tmp_path):
     def broken():
         yield frames()[0]
@@ -49,6 +64,8 @@ def test_the_bag_writer_leaves_nothing_half_written(tmp_path):
         write_image_bag(tmp_path / 'bag', frames())
     with pytest.raises(InputError, match='cannot be written'):
         write_image_bag(tmp_path / 'bag' / 'metadata.yaml' / 'x', frames())
+    with pytest.raises(InputError, match='does not exist; make it first'):
+        write_image_bag(tmp_path / 'none' / 'bag', frames())
     for wrong in ({'topic': 'no slash'}, {'storage': 'csv'}, {'compressed': 'gif'}):
         with pytest.raises(ArgumentError):
             write_image_bag(tmp_path / 'other', frames(), **wrong)

@@ -18,7 +18,7 @@ import shutil
 import tracemalloc
 
 import cv2
-from msg_adapters.image import image_message
+from msg_adapters.image import compressed_image_message, image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
 import numpy as np
@@ -27,7 +27,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.feature_session import MAX_TABLE_FRAMES, read_tracks
 from selfcal_ros.pipeline.file_sources import natural_key
 from selfcal_ros.pipeline.sources import Frame, open_source
@@ -163,6 +165,39 @@ def test_headers_without_time_fall_back_to_the_log(tmp_path):
         assert [frame.stamp_ns - START_NS for frame in source] == list(range(6))
 
 
+def test_stamps_that_go_back_and_frames_that_change_are_told(tmp_path):
+    def told(name, stamps, frames=('front',)):
+        types = rosbags_types()
+        path = write_bag(tmp_path / name, [
+            (TOPIC, IMAGE, k + 1, image_message(image, header_message(
+                stamp, frames[k % len(frames)], types), types))
+            for k, (stamp, image) in enumerate(zip(stamps, images()))])
+        with open_source(path) as source:
+            for _ in range(2):
+                list(source)
+            return [(one.kind, one.sentence) for one in source.losses()]
+
+    assert not told('good', range(1, 7))
+    (kind, sentence), = told('back', [1, 2, 3, 2, 3, 4])
+    assert kind == 'stamps_disordered' and sentence.startswith('1 image has no later stamp than')
+    (kind, sentence), = told('still', [5] * 6)
+    assert sentence.startswith('5 images have no later stamp than')
+    (kind, sentence), = told('two', range(1, 7), ('left', 'right'))
+    assert kind == 'frames_differ' and "such as 'left' and 'right'" in sentence
+
+
+def test_a_principal_point_outside_of_the_images_is_told(tmp_path):
+    few = 'frame,track,x,y\n' + ''.join(f'{frame},{track},{9 * track + frame},{5 * track}\n'
+                                        for frame in range(3) for track in range(9))
+    (tmp_path / 'tracks.csv').write_text(few, encoding='utf-8')
+    for point, told in (((320, 240), False), ((1920, 1080), True)):
+        result, reading = calibrate_input(tmp_path / 'tracks.csv', CalibrationSettings(
+            facts=CameraFacts(principal_point=point), image_size=(640, 480)))
+        assert not result
+        assert ('The stated principal point (1920, 1080) lies outside of the images of 640x480: '
+                'they may be of another size than it is of.' in reading.notes) == told
+
+
 def test_the_choice_of_the_topic(tmp_path):
     types = rosbags_types()
     text = types.String(data='x')
@@ -188,6 +223,28 @@ def test_the_choice_of_the_topic(tmp_path):
     empty = write_bag(tmp_path / 'empty', [('/none', IMAGE, 5, None)])
     assert 'its image topic /none holds no message' in refusal(empty)
     assert 'holds no images' in refusal(without, topic='/nope')
+
+
+@pytest.mark.parametrize('raw, compressed, taken', [(3, 3, '/cam'), (2, 3, '/cam/compressed')])
+def test_the_two_codings_of_image_transport_are_one_camera(tmp_path, raw, compressed, taken):
+    types = rosbags_types()
+    coded = compressed_image_message(images()[0], header_message(1, 'cam', types), types)
+    both = [('/cam', IMAGE, k + 1, message(images()[0])) for k in range(raw)] + [
+        ('/cam/compressed', IMAGE.replace('Image', 'CompressedImage'), k + 1, coded)
+        for k in range(compressed)]
+    path = write_bag(tmp_path / 'both', both)
+    with open_source(path) as source:
+        assert source.topic == taken
+        said = [one.sentence for one in source.losses()]
+    other = ({'/cam', '/cam/compressed'} - {taken}).pop()
+    assert said == [f'The images are those of {taken}: {other} holds the same ones in another '
+                    'coding.']
+    for topic in ('/cam', '/cam/compressed'):
+        with open_source(path, topic=topic) as source:
+            assert source.topic == topic and not source.losses()
+    # another camera is another camera
+    two = write_bag(tmp_path / 'two', [*both, ('/right', IMAGE, 9, message(images()[0]))])
+    assert 'has 2 image topics, choose one' in refusal(two)
 
 
 @pytest.mark.parametrize('storage, suffix', [('mcap', '.mcap'), ('sqlite3', '.db3')])
@@ -334,6 +391,18 @@ def test_wrong_folders(tmp_path):
     (tmp_path / 'notes.txt').write_text('x')
     shutil.rmtree(inner)
     assert 'but only notes.txt.' in refusal(tmp_path)
+
+
+def test_links_to_nothing_are_not_passed_over(tmp_path):
+    for name in ('0.png', '1.png'):
+        cv2.imwrite(str(tmp_path / name), images()[0])
+    (tmp_path / '2.png').symlink_to(tmp_path / '0.png')
+    with open_source(tmp_path) as source:
+        assert source.count == 3
+    (tmp_path / '3.png').symlink_to(tmp_path / 'nowhere.png')
+    assert '3.png is a link to a file that is not there; restore' in refusal(tmp_path)
+    (tmp_path / '4.png').symlink_to(tmp_path / 'nowhere.png')
+    assert 'not there, as are 1 more; restore what the links lead to' in refusal(tmp_path)
 
 
 def test_unreadable_images(tmp_path):

@@ -204,7 +204,7 @@ def test_a_round_part_that_looks_different_from_all_sides_is_found_by_its_outlin
 
 
 def test_a_round_part_that_looks_alike_from_two_sides_stays_lost():
-    assert not come_back(bean, 'plain', 8)
+    assert not come_back(bean, 'plain', 5)
 
 
 def test_a_pattern_does_not_pass_for_the_outline():

@@ -45,7 +45,7 @@ def turned_by_deg(rotation, other):
 
 @pytest.mark.parametrize('axis', ((0.5, 0.4, 0.2), (-0.6, 0.3, 1.1), (0.3, -0.7, -0.4)))
 def test_a_drawing_of_the_edges_gives_the_pose_among_lines_without_meaning(axis):
-    model = tracked_object(1, shape='step_block').model
+    model = tracked_object(1, shape='step_block', background=False).model
     K = np.array([[2000.0, 0, 320], [0, 2000.0, 240], [0, 0, 1]])
     rotation, away = rotation_matrix(np.array(axis)), 2000 * model.diameter_m / 180
     translation = np.array([0.02, -0.01, away])
@@ -71,7 +71,7 @@ def test_a_drawing_of_the_edges_gives_the_pose_among_lines_without_meaning(axis)
 
 
 def test_an_image_without_corners_gives_no_pose():
-    model = tracked_object(1, shape='cube').model
+    model = tracked_object(1, shape='cube', background=False).model
     alignment = CornerAlignment(VisibleModel(model), model.centre)
     K = np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
     assert alignment.poses(np.full((480, 640), 90, np.uint8), K, 24) == []
@@ -124,7 +124,7 @@ def test_one_that_moves_on_while_it_is_sought_is_met_where_it_goes():
 def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought):
     made = tracked_object(9, 'step_block', seed=32, supersampling=2, background=True)
     renderer = made.renderer()
-    model = tracked_object(1, shape_of(sought, 32)).model
+    model = tracked_object(1, shape_of(sought, 32), background=False).model
     tracker = RorapidTracker(model, made.camera, rng=np.random.default_rng(0))
     tracker.seek()
     frames = [tracker.track(made.frame(k, renderer)) for k in range(9)]
@@ -137,7 +137,7 @@ def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought)
 @pytest.mark.parametrize('name', ('channel', 'slab'))
 def test_nothing_is_found_in_a_corridor_of_straight_lines(name):
     """Letters on its floor have corners and sides as the parts have them."""
-    model = tracked_object(1, shape_of(name, 611)).model
+    model = tracked_object(1, shape_of(name, 611), background=False).model
     images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
               for path in sorted((DATA / 'vgg_corridor' / 'images').iterdir())]
     height, width = images[0].shape
@@ -152,7 +152,7 @@ def test_nothing_is_found_in_a_corridor_of_straight_lines(name):
 def test_a_model_of_many_lines_is_not_sought_by_corners(name, sought):
     """It would take seconds, in which a node does nothing else."""
     if sought:
-        model = tracked_object(1, shape=name).model
+        model = tracked_object(1, shape=name, background=False).model
     else:
         points = np.random.default_rng(0).normal(size=(150, 3))
         points *= 0.05 / np.linalg.norm(points, axis=1, keepdims=True)

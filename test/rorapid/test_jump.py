@@ -23,16 +23,17 @@ from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.synthetic.objects import tracked_object
 
 
-@pytest.mark.parametrize('shape, seed', [('cube', 0), ('cube', 2), ('step_block', 0)])
-def test_after_missing_images_an_object_is_tracked_where_it_is(shape, seed):
+@pytest.mark.parametrize('shape', ['step_block', 'cube'])
+def test_after_missing_images_an_object_is_tracked_where_it_is(shape):
     """Three to six images are missing now and then: the cube was tracked on, 30 degrees off."""
-    followed = tracking_jumps.follow(shape, (3, 7), False, seed)
+    followed = tracking_jumps.follow(shape, (3, 7), False, 0, samples=2)
     assert followed.wrong(TrackerState.TRACKING) == 0
     assert followed.count(TrackerState.TRACKING) > 0.95 * len(followed.states)
 
 
 def test_a_turn_by_a_dozen_images_does_not_set_a_cube_spinning():
-    followed = tracking_jumps.follow('cube', (6, 14), False, 0)
+    # the images of the last test, rendered once
+    followed = tracking_jumps.follow('cube', (6, 14), False, 0, samples=2)
     assert followed.wrong(TrackerState.TRACKING, TrackerState.DEGRADED) == 0
     assert followed.count(TrackerState.TRACKING) > 0.9 * len(followed.states)
 
@@ -52,14 +53,15 @@ def test_an_object_that_goes_away_is_not_tracked_on_the_wall_behind_it():
 
 def test_where_it_is_not_seen_as_expected_its_motion_is_open():
     """A pose that no image confirms is as uncertain as the object is fast."""
-    made = tracked_object(40, 'cube', seed=3)
+    made = tracked_object(40, 'cube', seed=3, supersampling=2)
     tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
     tracker.start(made.rotations[0], made.translations[0])
-    images = [image for image, _ in made.frames()]
-    for image in images[:20]:
+    renderer = made.renderer()
+    for k in range(20):
+        image = made.frame(k, renderer)
         seen = tracker.track(image)
     # the object is where it would be 0.6 s later, and is not to be seen
-    frame = tracker.track(np.full_like(images[0], 120))
+    frame = tracker.track(np.full_like(image, 120))
     error = np.r_[frame.translation - made.translations[39],
                   rotation_vector(frame.rotation @ made.rotations[39].T)]
     assert frame.state is TrackerState.DEGRADED
@@ -69,7 +71,7 @@ def test_where_it_is_not_seen_as_expected_its_motion_is_open():
 
 
 def filter_of(pose):
-    camera = tracked_object(1, 'cube', seed=1).camera
+    camera = tracked_object(1, 'cube', seed=1, background=False).camera
     return ConstantVelocityFilter(
         Projection(camera), np.eye(6), pose, np.eye(6) * 1e-6, np.full(6, 0.5), np.full(6, 1.0))
 

@@ -125,7 +125,7 @@ def test_an_instant_that_only_a_camera_that_looks_away_has_an_image_of_is_no_end
 
 @pytest.mark.parametrize('degrees', (2.0, 0.3))
 def test_a_wrong_transform_is_said_and_no_sigma_is_small(degrees):
-    (truth, _), cameras, images = scene('step_block', 43)
+    (truth, _), cameras, images = scene('step_block', 43, views=30)
     rig = started(truth.model, [cameras[0], turned_camera(cameras[1], degrees)], truth)
     for k, pair in enumerate(zip(*images)):
         found = rig.track(pair)
@@ -139,7 +139,7 @@ def test_a_wrong_transform_is_said_and_no_sigma_is_small(degrees):
 
 
 def test_what_is_not_known_of_a_transform_counts_and_is_no_contradiction():
-    (truth, _), cameras, images = scene('cube', 44)
+    (truth, _), cameras, images = scene('cube', 44, views=30)
     wrong = turned_camera(cameras[1], 0.05)
     spread = np.diag([1e-4**2] * 3 + [np.deg2rad(0.05)**2] * 3)
     wrong = replace(wrong, covariance=spread)
@@ -171,7 +171,7 @@ def test_of_three_cameras_the_one_that_is_knocked_is_named_and_left_out():
 
 
 def test_a_model_that_is_too_large_is_said_as_such():
-    (truth, _), cameras, images = scene('cube', 44)
+    (truth, _), cameras, images = scene('cube', 44, views=30)
     large = replace(truth.model, vertices=1.04 * truth.model.vertices)
     rig = started(large, cameras, truth)
     for k, pair in enumerate(zip(*images)):

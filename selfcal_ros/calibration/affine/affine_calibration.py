@@ -16,8 +16,8 @@ Calibration from affine structure: translated views, then rotated ones (thesis c
 
 Two translated views give the points up to an affine map (algorithm 4.1). Resection against them
 gives every further camera, and the left halves of the cameras are the infinite homographies
-(algorithm 4.2). An adjustment of the affine cameras and points in between, which needs no
-calibration, makes the homographies as good as the images allow and gives their covariance.
+(algorithm 4.2). An adjustment of the affine cameras and points in between needs no calibration. It
+makes the homographies as good as the images allow, and gives their covariance.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@
 """
 Radial distortion of pairs of views, from their epipolar geometry alone.
 
-No fundamental matrix explains distorted points. Two coefficients, the same for all pairs, are
-those under which the pairs agree best with general F, each with its own F and its own noise.
+No fundamental matrix explains distorted points. Two coefficients are the same for all pairs: those
+under which the pairs agree best with general F. Each pair has its own F and its own noise.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@
 """
 Bundle adjustment: the last refinement and the covariance of every method.
 
-Levenberg-Marquardt with geodesic acceleration on the named unknowns of a product of blocks, one
-block eliminated, facts and what the blocks suppose as measurements, Huber's loss. How a residual
-is weighed stands in `_root_weights`.
+Levenberg-Marquardt with geodesic acceleration on the named unknowns of a product of blocks, of
+which one is eliminated. Facts, and what the blocks suppose, are measurements. The loss is Huber's.
+How a residual is weighed stands in `_root_weights`.
 """
 
 from __future__ import annotations

@@ -14,12 +14,12 @@
 """
 How the camera moves at a view, from where its points were in the images just before and after.
 
-Views of a video are chosen far apart; the images between them say how fast the camera was. At
-each view the points are known, so that velocity and acceleration of the camera, six numbers
-each, follow from the positions in the two neighbouring images. Their rows count, too: those
-images were read like all others. A swing of 1 Hz filmed at 30 Hz is slower by 0.7 % between two
-images than at the one in their middle. So the third derivative counts, which the velocities and
-accelerations at the views around tell.
+Views of a video are chosen far apart; the images between them say how fast the camera was. At each
+view the points are known. So velocity and acceleration of the camera, six numbers each, follow
+from the positions in the two neighbouring images. Their rows count, too: those images were read
+like all others. A swing of 1 Hz filmed at 30 Hz is slower by 0.7 % between two images than at the
+one in their middle. So the third derivative counts, which the velocities and accelerations at the
+views around tell.
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ The world frame lies in the plane of motion, its z axis along the rotation axis.
 
     X_camera = A (S(tilt_i) R_z(angle_i) Y + w (x_i, y_i, h_i)),    Y, w a homogeneous world point,
 
-with one mount rotation A for all views. In planar motion the tilts and heights are zero, so that
-v ~ K A e3 and the circular points ~ K A (1, ±i, 0) are in the parameters themselves; nearly
-planar motion gives tilt and height a prior, general motion leaves them free.
+with one mount rotation A for all views. In planar motion the tilts and heights are zero. Then v ~
+K A e3 and the circular points ~ K A (1, ±i, 0) are in the parameters themselves; nearly planar
+motion gives tilt and height a prior, general motion leaves them free.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def preferred_by_all(refusal: NoEstimate, fit: RobustFit, offered: Observations,
     """
     Return a refusal for facts with what all observations prefer.
 
-    What contradicts a wrong fact most was left out under it as a gross error, so that what remains
+    What contradicts a wrong fact most was left out under it as a gross error. So what remains
     prefers values between the stated and the true ones.
 
     Parameters

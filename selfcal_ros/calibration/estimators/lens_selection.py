@@ -36,11 +36,12 @@ from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
 from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
 from selfcal_ros.geometry.camera_facts import CameraFacts
-from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, LensChoice
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
 
 #: Members that are tried when the richest of a family leaves the camera open.
-POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'rational': ()}
+POORER: dict[LensChoice, tuple[LensChoice, ...]] = {
+    'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'rational': ()}
 #: Lenses whose coefficients are weighed with those of real lenses.
 REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
@@ -166,10 +167,11 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
     return LensDecision(found, stated, _nothing(found) if excess is None else excess)
 
 
-def _trials(fit: RobustFit, names: tuple[str, ...], facts: CameraFacts, size: tuple[int, int],
-            variance_inflation: float, decentring: float | None) -> dict[str, RobustFit]:
+def _trials(fit: RobustFit, names: tuple[LensChoice, ...], facts: CameraFacts,
+            size: tuple[int, int], variance_inflation: float, decentring: float | None,
+            ) -> dict[LensChoice, RobustFit]:
     """Fit every family that may have made the images."""
-    def fitted(name: str, start: RobustFit) -> RobustFit:
+    def fitted(name: LensChoice, start: RobustFit) -> RobustFit:
         return _fitted(start, replace(facts, distortion=name), size, variance_inflation,
                        decentring)
 
@@ -195,7 +197,7 @@ def _nothing(fit: RobustFit) -> np.ndarray:
     return np.zeros((len(fit.state.lens),) * 2)
 
 
-def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
+def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[LensChoice, ...]:
     """Name the families that may have made the images, that of the fit first."""
     lens = fit.state.lens
     if not lens.model.is_perspective:
@@ -258,7 +260,7 @@ def _refitted(fit: RobustFit, state: SceneState, priors: Priors) -> RobustFit:
     return replace(fit, bundle=bundle, state=state)
 
 
-def with_lens(state: SceneState, xy: np.ndarray, name: str,
+def with_lens(state: SceneState, xy: np.ndarray, name: LensChoice,
               terms: tuple[str, ...] = ()) -> SceneState:
     """
     Return a state with the lens of another model that is nearest to its own at pixels xy.

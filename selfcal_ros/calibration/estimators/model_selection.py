@@ -40,7 +40,7 @@ from selfcal_ros.calibration.uncertainty.profile_likelihood import (profile_like
                                                                     PROFILED_FRACTION)
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
 from selfcal_ros.geometry.camera_facts import CameraFacts
-from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, LensChoice
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: A motion leaves the plane by far more than supposed: so many times the sigma.
@@ -86,7 +86,7 @@ def first_fit(problem: SelfCalibrationProblem, observations: Observations, state
     stated = LENS_CHOICES.get(facts.distortion)
     if stated is None or stated[0] is not state.lens.model:
         # of the family that the start is of, with all that such lenses do
-        family = 'plumb_bob' if state.lens.model.is_perspective else 'equidistant'
+        family: LensChoice = 'plumb_bob' if state.lens.model.is_perspective else 'equidistant'
         facts = replace(facts, distortion=family)
         state = with_lens(state, observations.xy, family)
     priors = start_priors(problem, state.camera())

@@ -24,6 +24,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.values.motion import Motion
 
 #: With less rotation than this in all it is tested whether there is any (radians): without, a
 #: small sigma would be an accident of a wrong optimum.
@@ -56,7 +57,7 @@ class PathDescription:
 
     """
 
-    motion: str
+    motion: Motion
     rotation_rad: float
     tilt_rms_rad: float
     refusal: NoEstimate | None
@@ -135,7 +136,7 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     findings = []
-    motion = 'planar' if keeps_plane else 'pivot' if pivots else 'general'
+    motion: Motion = 'planar' if keeps_plane else 'pivot' if pivots else 'general'
     refusal = None
     if not turned:
         motion = 'translation'

@@ -14,9 +14,9 @@
 """
 One kind of motion → K: starts, one maximum-likelihood estimate, and the tests it must pass.
 
-The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes
-one calibration; a sweep over the focal length proposes others. Each proposal is a start for the
-same bundle adjustment on a small fraction of the tracks, the best one is finished on all of them.
+The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes one
+calibration; a sweep over the focal length proposes others. Each proposal is a start for the same
+bundle adjustment on a small fraction of the tracks. The best one is finished on all of them.
 """
 
 from __future__ import annotations

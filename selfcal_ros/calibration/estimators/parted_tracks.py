@@ -37,6 +37,7 @@ from selfcal_ros.calibration.initialisation.multi_start import GOOD_ENOUGH
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
+from selfcal_ros.calibration.moving.jumped_tracks import jumps_stand_out
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
                                                     hides_body, moving_findings, observed_like,
                                                     sort_tracks, SortedTracks, stands_out,
@@ -70,20 +71,24 @@ def calibrate_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCal
     test = tested_as_still(fit, observations)
     if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
         return calibrate_sorted(fit, problem, graph, calibrate_path) or None
-    if test is None or not (crowd_in_few_views(test, observations)
-                            or hides_body(fit, observations, test, problem.size)):
+    if test is None:
         return None
-    return calibrate_sorted(fit, problem, graph, calibrate_path, bodies_alone=True) or None
+    if jumps_stand_out(fit, observations, test):
+        return calibrate_sorted(fit, problem, graph, calibrate_path, alone='tracks_jump') or None
+    if (crowd_in_few_views(test, observations)
+            or hides_body(fit, observations, test, problem.size)):
+        return calibrate_sorted(fit, problem, graph, calibrate_path, alone='tracks_moving') or None
+    return None
 
 
 def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph,
                      calibrate_path: CalibratePath, rival: RobustFit | None = None,
-                     least: float = FEW, bodies_alone: bool = False,
+                     least: float = FEW, alone: str = '',
                      ) -> Calibration | NoEstimate | None:
     """
     Calibrate from what stands still by a fit, unless its rival explains that as well.
 
-    Of bodies alone where still tracks may fail as wholes, too: then all else tells nothing. What
+    Where still tracks may fail as wholes, too, one kind of finding alone tells something. What
     stands still may leave the camera open: that refusal says how little it leaves.
     """
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
@@ -93,7 +98,7 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
     findings = moving_findings(found[0].labels, found[0].length, least) if found else ()
     if not found or not findings or (
-            bodies_alone and 'tracks_moving' not in [one.kind for one in findings]):
+            alone and alone not in [one.kind for one in findings]):
         return None
     sorted_tracks, still = found
     # what stands still without a zoom stands still with it, too, if there is one

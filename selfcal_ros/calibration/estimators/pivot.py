@@ -55,6 +55,7 @@ from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.lenses.catalogue import LensChoice
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import unit
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -233,7 +234,7 @@ def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: 
     return problem, medium, choose_shutter(fit, medium, window.facts, window.size)
 
 
-def _with_family(state: SceneState, xy: np.ndarray, family: str) -> SceneState | None:
+def _with_family(state: SceneState, xy: np.ndarray, family: LensChoice) -> SceneState | None:
     """Return a state with the nearest lens of a family; None where none bends so."""
     state = with_lens(state, xy, family)
     try:

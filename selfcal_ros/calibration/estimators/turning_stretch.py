@@ -14,10 +14,10 @@
 """
 Stretches of a path in which the camera turns on the spot, and on which side its lever lies.
 
-A lever from the camera to the point of the turn adds nearly the same to all motion in the images
-as a longer focal length does. So a start may take a lever for none, and the differences of depth
-then choose its sign by noise. No step of an adjustment leads from one sign to the other: between
-them all points of the stretch pass through infinity. So levers of both signs are tried.
+A lever from the camera to the point of the turn adds to all motion in the images, nearly as a
+longer focal length does. So a start may take a lever for none, and the differences of depth then
+choose its sign by noise. No step of an adjustment leads from one sign to the other: between them
+all points of the stretch pass through infinity. So levers of both signs are tried.
 """
 
 from __future__ import annotations

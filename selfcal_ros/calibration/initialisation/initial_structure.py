@@ -264,9 +264,9 @@ def chained_centres(pairs: list[PairGeometry], camera: Camera, rotations: np.nda
     """
     Camera centres from known rotations, view by view.
 
-    The direction of each step is that of the epipole; its length makes the depths of the
-    points that are known already agree (median ratio), so that no view can collapse onto
-    another as it can in a linear system for all of them.
+    The direction of each step is that of the epipole; its length makes the depths of the points
+    that are known already agree (median ratio), and no view can collapse onto another. In a linear
+    system for all of them it can.
 
     Parameters
     ----------

@@ -15,9 +15,9 @@
 Images of which some are mirrored.
 
 A mirrored image has an epipolar geometry with one that is not: no pair contradicts itself. But
-what is seen from one side keeps its sense of rotation from image to image. The affine map that
-takes the points of one view nearest to those of another has a positive determinant, and a
-negative one if one of the two is mirrored.
+what is seen from one side keeps its sense of rotation from image to image. An affine map takes the
+points of one view nearest to those of another. Its determinant is positive, and negative if one of
+the two is mirrored.
 """
 
 from __future__ import annotations

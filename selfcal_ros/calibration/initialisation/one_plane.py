@@ -14,9 +14,9 @@
 """
 Views that all show one plane: what contradicts their homographies goes.
 
-Of a plane every fundamental matrix through its homography is as good as another, so that gross
-errors find one that suits them, and look like parallax. The homographies are determined, and tell
-the gross errors.
+Of a plane every fundamental matrix through its homography is as good as another. Gross errors find
+one that suits them, and look like parallax. The homographies are determined, and tell the gross
+errors.
 """
 
 from __future__ import annotations

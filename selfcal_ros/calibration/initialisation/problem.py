@@ -54,7 +54,7 @@ class SelfCalibrationProblem:
     `flat` where the scene may be one plane, `pivot` where the camera turns about a fixed point;
     `bend` is that of the lens which the pairs show, for radii in half image diagonals; `instants`
     tell when each view was taken, in any unit; `is_weak` where the translations are small beside
-    the rotations, `supposes_plane` where nobody said that the motion is planar, `of_still` where
+    the rotations; `supposes_plane` where nobody said that the motion is planar; `of_still` where
     the tracks are those that a first estimate found to stand still.
     """
 

@@ -44,14 +44,16 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LensChoice
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
+from selfcal_ros.values.motion import Motion
 from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.version import SOFTWARE
 
-MOTION = 'known-object'
+MOTION: Motion = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
-AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
+AUTOMATIC_DISTORTION: tuple[LensChoice, ...] = ('radial2', 'radial1', 'none')
 #: Residuals beyond so many sigmas are outliers.
 OUTLIER_SIGMAS = 4.0
 #: A view keeps its pose only with so many edgels of so many primitives.
@@ -152,6 +154,38 @@ class EdgeViews:
                       sigma_px=sigma_px)
 
 
+@dataclass(frozen=True)
+class _Judged:
+    """
+    An adjustment to edges under some facts, and what is determined by it.
+
+    Attributes
+    ----------
+    views : EdgeViews
+        Those that were used.
+    bundle : Bundle
+    state : ObjectState
+    facts : CameraFacts
+    covariance : ndarray, shape (n, n)
+        Of the parameters of the camera.
+    sigma_inflation : float
+        How much wider the sigmas are than for independent errors.
+    findings : tuple of Finding
+    status : dict of str to str
+        Of each parameter.
+
+    """
+
+    views: EdgeViews
+    bundle: Bundle[ObjectState]
+    state: ObjectState
+    facts: CameraFacts
+    covariance: np.ndarray
+    sigma_inflation: float
+    findings: tuple[Finding, ...]
+    status: dict[str, Status]
+
+
 def calibrate_from_edges(views: EdgeViews, start: Camera, *,
                          facts: CameraFacts | None = None) -> Calibration | NotCalibrated:
     """
@@ -193,37 +227,37 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         fit = _fit(views, first, chosen)
         if isinstance(fit, NoEstimate):
             continue
-        used, bundle, state = fit
-        found = (used, bundle, state, chosen, *_judge(used, bundle, state, chosen, size))
-        if 'unobservable' not in found[-1].values():
+        found = _judge(*fit, chosen, size)
+        if 'unobservable' not in found.status.values():
             break
     if found is None:
         return NoEstimate('no_fit_to_edges')
-    used, bundle, state, chosen, covariance, sigma_inflation, findings, status = found
+    used, bundle, state = found.views, found.bundle, found.state
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
-    missing = unobservable_among(status, MATRIX_PARAMETERS)
+    missing = unobservable_among(found.status, MATRIX_PARAMETERS)
     low, high = FOCAL_FRACTIONS[0] * max(size), FOCAL_FRACTIONS[1] * max(size)
     if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
     if missing:
-        return NoEstimate('edges_leave_open', missing=missing, status=status)
-    zoomed = _zoomed(used, state, sigma_inflation)
+        return NoEstimate('edges_leave_open', missing=missing, status=found.status)
+    zoomed = _zoomed(used, state, found.sigma_inflation)
     if zoomed is not None:
         return zoomed
     camera = state.camera(*size)
     residuals = _offsets(bundle, state)
     points, first_seen = np.unique(used.point, return_index=True)
     return Calibration(
-        camera=camera, covariance=covariance, status=status, held_by=held_facts(chosen),
-        motion=MOTION, facts=chosen, frames=tuple(int(f) for f in used.frames),
+        camera=camera, covariance=found.covariance, status=found.status,
+        held_by=held_facts(found.facts), motion=MOTION, facts=found.facts,
+        frames=tuple(int(f) for f in used.frames),
         reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=bundle.sigma_px, observation_count=len(used),
         outlier_count=len(views) - len(used),
         reconstruction=Reconstruction(
             used.frames, np.array(state.path.cam_from_object), points,
             np.column_stack([used.points[first_seen], np.ones(len(points))])),
-        findings=findings, residuals=residuals)
+        findings=found.findings, residuals=residuals)
 
 
 def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts,
@@ -302,9 +336,8 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
 
 
 def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, facts: CameraFacts,
-           size: tuple[int, int],
-           ) -> tuple[np.ndarray, float, tuple[Finding, ...], dict[str, Status]]:
-    """Return covariance, how much wider it is than for independent errors, findings and status."""
+           size: tuple[int, int]) -> _Judged:
+    """Tell what edges determine, and how well."""
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)
     within = view * (int(views.primitive.max()) + 1) + views.primitive
@@ -315,8 +348,8 @@ def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, fa
     camera = state.camera(*size)
     covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
-    return (covariance, wider.sigma_inflation * ratio, findings,
-            parameter_status(camera, covariance, facts))
+    return _Judged(views, bundle, state, facts, covariance, wider.sigma_inflation * ratio,
+                   findings, parameter_status(camera, covariance, facts))
 
 
 def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,

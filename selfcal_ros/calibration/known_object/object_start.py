@@ -164,8 +164,8 @@ def supposed_cameras(views: list[LinearView], size: tuple[int, int],
     Returns
     -------
     list of ndarray, shape (3, 3)
-        Of the linear equations with the facts, of the same with what most cameras have, and of
-        a range of focal lengths. The latter always exist.
+        Of the linear equations with the facts, and of the same with what most cameras have. Then
+        of a range of focal lengths. The latter always exist.
 
     """
     aspect = facts.aspect_ratio or 1.0

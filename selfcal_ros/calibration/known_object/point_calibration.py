@@ -46,17 +46,20 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovar
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LensChoice
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.motion import Motion
 from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import SOFTWARE
 
 _LOGGER = logging.getLogger(__name__)
-MOTION = 'known-object'
+MOTION: Motion = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
-AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
+AUTOMATIC_DISTORTION: tuple[LensChoice, ...] = ('plumb_bob', 'radtan', 'radial2', 'radial1',
+                                                'none')
 #: Points seen so far from the axis, radians, may belong to a fisheye: 'auto' tries one.
 WIDE_ANGLE = np.deg2rad(40.0)
 #: The same where a perspective lens explains less than this share of the points.
@@ -128,6 +131,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts = CameraFacts() if facts is None else facts
     width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
     size = tracks.image_size or (int(width), int(height))
+    facts.check_for(size)
     result: Calibration | NoEstimate
     try:
         result = _calibrate(tracks, target, size, facts, flatness)
@@ -393,8 +397,8 @@ def _open_without_lens(bundle: Bundle[ObjectState], state: ObjectState, facts: C
     """
     Return the parameters that the same views leave open where the lens does not distort.
 
-    The distortion of a board alone shows the principal point and with it the rest, but only as
-    far as the lens is exactly what its model says.
+    The distortion of a board alone shows the principal point, and with it the rest. It does so
+    only as far as the lens is exactly what its model says.
     """
     pinhole = replace(facts, distortion='none')
     priors = priors_from_facts(facts).updated(

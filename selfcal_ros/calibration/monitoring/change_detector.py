@@ -15,12 +15,11 @@
 Has the camera changed? A sequential test of new evidence against the calibration in force.
 
 Model: the camera in force errs by what its covariance says; window after window of keyframes tells
-it again, each with its own error (`window_score`). Against that stands, for every moment at which
-it might have happened, a change of focal length and principal point, or of the focal length
-alone. Twice the logarithm of the generalised likelihood ratio is a chi-square with three degrees
-of freedom, or one; the less probable of both counts, as one of three. Over the moments it is
-maximised, and the threshold bounds the rate at which an unchanged camera exceeds it
-(docs/monitoring.md).
+it again, each with its own error (`window_score`). Against that stands a change of focal length
+and principal point, or of the focal length alone, at every moment that may be its own. Twice the
+logarithm of the generalised likelihood ratio is a chi-square with three degrees of freedom, or
+one; the less probable of both counts, as one of three. Over the moments it is maximised, and the
+threshold bounds the rate at which an unchanged camera exceeds it (docs/monitoring.md).
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ class Adjustment:
                   weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return information and minus the gradient without the facts."""
         counted = weights > 0
-        roots = errors.whitening()[counted] * np.sqrt(weights[counted])[:, None, None]
+        roots = errors.whitening[counted] * np.sqrt(weights[counted])[:, None, None]
         S = errors.independent(roots @ prediction.slopes[counted])
         r = errors.independent(roots @ prediction.residual[counted][:, :, None])
         S, r = S.reshape(-1, S.shape[2]), r.ravel()
@@ -203,9 +203,8 @@ class Adjustment:
 
     def _distances(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
         """Return squared misfits in sigmas, shape (m,)."""
-        W = np.linalg.inv(errors.covariances())
         r = prediction.residual
-        squares: np.ndarray = np.einsum('mi,mij,mj->m', r, W, r)
+        squares: np.ndarray = np.einsum('mi,mij,mj->m', r, errors.precisions, r)
         return squares
 
     def distances(self, state: State, errors: PoseErrors) -> np.ndarray:
@@ -235,7 +234,7 @@ class Adjustment:
         """Return minus twice the log-likelihood of an optimum, but for a constant."""
         prediction, errors = self.predict(optimum.state), optimum.errors
         squares = float(self._distances(prediction, errors)[keep].sum())
-        sizes = float(np.linalg.slogdet(errors.covariances()[keep])[1].sum())
+        sizes = float(np.linalg.slogdet(errors.covariances[keep])[1].sum())
         facts, w = self._priors(optimum.state)[0], optimum.state.w
         return squares + sizes + float(w @ w + facts @ facts)
 
@@ -268,7 +267,7 @@ class Adjustment:
             if keep is None:
                 poses = (self._tail + self._size) * np.log1p(squares / self._tail).sum()
             else:
-                poses = (errors.independent(errors.whitening()[keep]
+                poses = (errors.independent(errors.whitening[keep]
                                             @ prediction.residual[keep][:, :, None])**2).sum()
             return float(poses + one.w @ one.w + facts @ facts)
         prediction = self.predict(state)
@@ -320,7 +319,7 @@ class Adjustment:
         else:
             # starts compare by it, and each comes with errors of its own
             cost = self.descend(state, errors)[1] + float(
-                np.linalg.slogdet(errors.covariances())[1].sum())
+                np.linalg.slogdet(errors.covariances)[1].sum())
         keep, least = self._first_verdicts(state, errors)
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
@@ -376,7 +375,7 @@ class Adjustment:
             Minus twice the log-likelihood, but for a constant: starts compare by it.
 
         """
-        every = np.ones(len(errors.covariances()), bool)
+        every = np.ones(len(errors.covariances), bool)
         for _ in range(_ROUNDS):
             state, cost = self.descend(state, errors)
             prediction, before = self.predict(state), errors
@@ -385,7 +384,7 @@ class Adjustment:
             errors = errors.refined(prediction.residual, spread, every, weights)[0].at_most(before)
             if (np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all():
                 break
-        return state, errors, cost + float(np.linalg.slogdet(errors.covariances())[1].sum())
+        return state, errors, cost + float(np.linalg.slogdet(errors.covariances)[1].sum())
 
     def _tail_weights(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
         """Return the weights of misfits (m,) under the law with wide tails."""

@@ -89,6 +89,7 @@ class BodyTrack:
         self.timed = poses.frames is None
         self.odometry = poses.kind == ODOMETRY
         self._anchor: float | None = None
+        self._kept: tuple[np.ndarray, BodyAt] | None = None
         up = poses.rotation[:, :, 2]
         self.flat = bool(len(poses) and (np.ptp(poses.position[:, 2]) < FLAT_M)
                          and bool(np.all(np.ptp(up, axis=0) < FLAT_RAD))
@@ -130,7 +131,7 @@ class BodyTrack:
         the noise of the poses would fit it.
         """
         other = copy(self)
-        other._anchor = offset
+        other._anchor, other._kept = offset, None
         return other
 
     def known(self, offset: float = 0.0, margin: float = 0.0) -> np.ndarray:
@@ -167,17 +168,29 @@ class BodyTrack:
             at, still = self._rows[rows], np.zeros((len(rows), 3))
             return BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
         anchor = offset if self._anchor is None else self._anchor
-        when, step = self._instants[rows] - anchor, self._rate_step
+        near = self._near(anchor, rows)
+        ahead = anchor - offset
+        return BodyAt(rotation_matrix(ahead * near.turning) @ near.rotation,
+                      near.position + ahead * near.velocity, near.turning, near.velocity)
+
+    def _near(self, anchor: float, rows: np.ndarray) -> BodyAt:
+        """Interpolate at an offset; where one is the anchor, an estimate asks again and again."""
+        if self._anchor is None:
+            return self._at(anchor, rows)
+        if self._kept is None or not np.array_equal(self._kept[0], rows):
+            self._kept = rows.copy(), self._at(anchor, rows)
+        return self._kept[1]
+
+    def _at(self, offset: float, rows: np.ndarray) -> BodyAt:
+        """Interpolate at an offset of the clocks."""
+        when, step = self._instants[rows] - offset, self._rate_step
         rotation, position = self._interpolated(when)
         earlier = np.maximum(when - step, self._times[0])
         later = np.minimum(when + step, self._times[-1])
         before, after = self._interpolated(earlier), self._interpolated(later)
         lasting = (later - earlier)[:, None]
         turning = rotation_vector(after[0] @ np.swapaxes(before[0], 1, 2)) / lasting
-        velocity = (after[1] - before[1]) / lasting
-        ahead = anchor - offset
-        return BodyAt(rotation_matrix(ahead * turning) @ rotation, position + ahead * velocity,
-                      turning, velocity)
+        return BodyAt(rotation, position, turning, (after[1] - before[1]) / lasting)
 
     def of_neighbours(self, rows: np.ndarray, step: int) -> tuple[np.ndarray, BodyAt]:
         """
@@ -299,7 +312,7 @@ class BodyTrack:
         """
         Return how errors of odometry add up between successive images, for unit variances.
 
-        The error of a small step is that of x, y, z, roll, pitch, yaw in the body, each with a
+        The error of a small step is that of x, y, z, roll, pitch, yaw in the body. Each has a
         variance in proportion to the step's length (m) and turn (rad).
 
         Parameters

@@ -14,9 +14,9 @@
 """
 Common mistakes in lists of poses: which of them, once undone, lets the images agree.
 
-The usual mistakes are few: poses are inverted, one image late or early, w of the quaternion stands
-in the wrong column, or an axis of the positions is mirrored or swapped. Each is undone, and the
-closed forms tell whether the images agree then. The answer is clear either way.
+The usual mistakes are few. Poses are inverted, or one image late or early; w of the quaternion
+stands in the wrong column; an axis of the positions is mirrored or swapped. Each is undone, and
+the closed forms tell whether the images agree then. The answer is clear either way.
 """
 
 from __future__ import annotations

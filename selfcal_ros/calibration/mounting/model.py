@@ -14,7 +14,7 @@
 """
 What a mount predicts of the body's poses, and the derivatives.
 
-The camera is at (R, c) in the world of its images, whose scale is s, and which has the turn G and
+The camera is at (R, c) in the world of its images. That world has the scale s, and the turn G and
 the place g in the world of the robot. With the mount (M, t) the body is turned by G R Mᵀ and
 placed at
 

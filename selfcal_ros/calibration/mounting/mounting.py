@@ -236,7 +236,7 @@ def _best_start(part: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mo
             state, _ = coarse.descend(state, rough)
             rough = errors.from_medians(coarse.predict(state).residual, every)
         # the determinant stands for the size of the misfits, whichever their kind
-        size = np.linalg.slogdet(rough.covariances())[1].sum()
+        size = np.linalg.slogdet(rough.covariances)[1].sum()
         tried.append((coarse.descend(state, rough)[1] + size, state, rough))
     if not tried:
         return None
@@ -387,7 +387,7 @@ def _covariance(track: BodyTrack, optimum: Optimum, rows: np.ndarray) -> np.ndar
     state, total = optimum.state, optimum.covariance.copy()
     # rates that noise made up tell nothing
     feigned = total[OFFSET, OFFSET] * track.feigned_information(
-        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
+        rows, optimum.keep, optimum.errors.covariances, optimum.cautious.covariances)
     wider = 1 / max(1 - feigned, LEAST_TRUE)
     total[OFFSET] *= wider
     total[:, OFFSET] *= wider

@@ -200,12 +200,12 @@ def _honest_sigma(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndar
 def _feigned(optimum: Optimum, odometry: bool) -> np.ndarray:
     """Return the information (16, 16) that errors of turns and moves would feign."""
     slopes, keep = optimum.prediction.slopes[optimum.keep], optimum.keep
-    W = np.linalg.inv(optimum.cautious.covariances()[keep])
+    W = np.linalg.inv(optimum.cautious.covariances[keep])
     # of the predicted turns and moves, whatever they come from
     errors = slopes @ optimum.covariance @ np.swapaxes(slopes, 1, 2)
     if _is_bare(optimum):
         # it may be the camera's poses that leave the misfits
-        errors = errors + optimum.cautious.covariances()[keep]
+        errors = errors + optimum.cautious.covariances[keep]
     Q, P = errors[:, 3:, 3:], errors[:, :3, :3]
     # in the axes of the body: the earlier one of a pair, or that of the pose
     axes = np.eye(3)[None] if odometry else -slopes[:, 3:, TURN]

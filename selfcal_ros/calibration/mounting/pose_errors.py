@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -112,15 +113,24 @@ class PoseErrors:
             found[list(kind)] = np.sqrt(variance)
         return tuple(found.tolist())
 
+    # a descent asks for these at every step, and the errors stay
+
+    @cached_property
     def covariances(self) -> np.ndarray:
-        """Return the covariance of every misfit, shape (m, 6, 6)."""
+        """The covariance of every misfit, shape (m, 6, 6)."""
         total: np.ndarray = np.einsum('k,kmij->mij', self.variances, self.shapes)
         return total
 
+    @cached_property
+    def precisions(self) -> np.ndarray:
+        """Inverses of the covariances, shape (m, 6, 6)."""
+        inverses: np.ndarray = np.linalg.inv(self.covariances)
+        return inverses
+
+    @cached_property
     def whitening(self) -> np.ndarray:
-        """Return what makes the components of a misfit independent and of unit variance."""
-        roots = np.linalg.cholesky(np.linalg.inv(self.covariances()))
-        turned: np.ndarray = np.swapaxes(roots, 1, 2)
+        """What makes the components of a misfit independent and of unit variance, (m, 6, 6)."""
+        turned: np.ndarray = np.swapaxes(np.linalg.cholesky(self.precisions), 1, 2)
         return turned
 
     def independent(self, rows: np.ndarray) -> np.ndarray:
@@ -148,7 +158,7 @@ class PoseErrors:
         PoseErrors
 
         """
-        z = (self.whitening() @ residual[:, :, None])[keep, :, 0]
+        z = (self.whitening @ residual[:, :, None])[keep, :, 0]
         shared = np.zeros(6)
         for kind in filter(len, self.axes):
             own = z[:, list(kind)]
@@ -190,7 +200,7 @@ class PoseErrors:
         freedom : ndarray, shape (K,)
 
         """
-        W = np.linalg.inv(self.covariances()[keep])
+        W = np.linalg.inv(self.covariances[keep])
         weighted = np.einsum('mij,mj->mi', W, residual[keep])
         shapes = self.shapes[:, keep]
         counted = weighted if weights is None else weights[keep, None] * weighted
@@ -219,7 +229,7 @@ class PoseErrors:
         PoseErrors
 
         """
-        W = np.linalg.inv(self.covariances()[keep])
+        W = np.linalg.inv(self.covariances[keep])
         shown = (W - W @ spread[keep] @ W) @ self.shapes[:, keep]
         known = np.einsum('kmij,kmji->k', shown, shown) / 2
         off = 1 / np.maximum(known, 1e-300)

@@ -62,7 +62,7 @@ def agreeing(errors: PoseErrors, residual: np.ndarray, spread: np.ndarray, keep:
     blocks = [list(kind) for kind in errors.axes if kind and measured[list(kind)].all()]
     level = FALSE_ALARM / max(len(residual) * len(blocks), 1)
     agree = np.ones(len(residual), bool)
-    whole = errors.covariances()
+    whole = errors.covariances
     for block in blocks:
         C, P = (one[:, block][:, :, block] for one in (whole, spread))
         whiten = np.linalg.inv(np.linalg.cholesky(C))

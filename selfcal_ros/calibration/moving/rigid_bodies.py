@@ -15,8 +15,8 @@
 Things that move by themselves: rigid bodies among tracks that the still scene does not explain.
 
 With the camera known, a rigid body is a scene of its own before a camera on a path of its own.
-Pairs of views tell its motion (`geometry.relative_pose`), one view after another is attached to
-those that stand, and an adjustment with the camera held has the last word.
+Pairs of views tell its motion (`geometry.relative_pose`), and one view after another is attached
+to those that stand. An adjustment with the camera held has the last word.
 """
 
 from __future__ import annotations

@@ -31,11 +31,11 @@ from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.initialisation.problem import observations_of
+from selfcal_ros.calibration.moving.jumped_tracks import enough_jump, find_jumps
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
-from selfcal_ros.calibration.moving.track_judgement import (CHANCE, freedom_of, instants,
-                                                            judge_tracks, TrackTest)
+from selfcal_ros.calibration.moving.track_judgement import (freedom_of, judge_tracks,
+                                                            TrackTest)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
                                              UNEXPLAINED)
 from selfcal_ros.values.tracks import Tracks
@@ -64,9 +64,6 @@ BODY_VIEWS = 4
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
 MANY = 0.05
-#: More that jump than these shares, of all and of those that nothing explains, are told: gross
-#: errors leave up to 0.013 and 0.12, still scenes with heavy tails 0.45 of the latter.
-FEW_JUMPS, OF_UNEXPLAINED = 0.018, 0.3
 
 
 @dataclass(frozen=True)
@@ -170,9 +167,9 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
     """
     Tell whether a fit explains what another parts into still and moving, by the less noise.
 
-    A model with more freedom that is the true one keeps all points still that stand by the other,
-    unless by chance, and what seemed to move stands still. If things that move have bent it, it
-    explains neither.
+    A model with more freedom may be the true one. Then all points that stand by the other stand by
+    it, too, but for chance, and what seemed to move stands still. If things that move have bent
+    it, it explains neither.
     """
     sigma_px = min(rival.bundle.noise_rms(rival.state), still.bundle.sigma_px)
     fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))
@@ -265,11 +262,11 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
         return None
     # a thing that moves is still in no two halves of a long track; short halves prove nothing
     doubtful = np.flatnonzero((label == UNEXPLAINED) & test.tested)
-    cut = _jumps(fit, observations, doubtful, VERIFYING_VIEWS)
+    cut = find_jumps(fit, observations, doubtful, VERIFYING_VIEWS)
     label[list(cut)] = JUMPED
     bodies = _bodies(fit, observations, test, label, size, rng)
     doubtful = np.flatnonzero((label == UNEXPLAINED) & test.tested)
-    cut.update(_jumps(fit, observations, doubtful, VERIFYING_VIEWS - 1))
+    cut.update(find_jumps(fit, observations, doubtful, VERIFYING_VIEWS - 1))
     agrees = test.agrees & (label[point] == STATIC)
     parts = [tracks.select(agrees), untimed.select(
         np.isin(untimed.track, identity[label == STATIC]))]
@@ -331,7 +328,7 @@ def moving_findings(labels: TrackLabels, length: np.ndarray,
         found.append(Finding('tracks_moving', share=float(sum(shares)), bodies=labels.bodies,
                              shares=[float(share) for share in shares]))
     jumped, unexplained = labels.share('jumped'), labels.share('unexplained')
-    if jumped > min(least, max(FEW_JUMPS, OF_UNEXPLAINED * unexplained)):
+    if jumped > least or enough_jump(jumped, unexplained):
         found.append(Finding('tracks_jump', share=float(jumped)))
     if unexplained > (least if least < FEW and not found else MANY):
         found.append(Finding('tracks_unexplained_whole', share=float(unexplained)))
@@ -378,58 +375,3 @@ def _doubt(body: RigidBody, observations: Observations, test: TrackTest,
     alike = own.square + 16 * own.lost < test.square[seen] + 16 * test.lost[seen] + CLEAR
     either = seen[own.explained & whole & alike & (label[seen] == STATIC)]
     label[either] = UNCLEAR
-
-
-def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least: int,
-           ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """
-    Find tracks that are one still point, then another, each in at least so many views.
-
-    Frames that repeat one another count once: an error that they share is no second point.
-
-    Returns
-    -------
-    dict
-        By track the rows of its observations that agree, and which of them are the later part's.
-
-    """
-    first = np.searchsorted(observations.point, places)
-    end = np.searchsorted(observations.point, places, side='right')
-    length, instant = end - first, instants(fit.bundle)
-    rows: list[np.ndarray] = []
-    part: list[np.ndarray] = []
-    which: list[int] = []
-    for place, begin, count in zip(places, first, length):
-        seen = np.unique(instant[observations.view[begin:begin + count]], return_inverse=True)[1]
-        for cut in range(least, count - least + 1):
-            early, late = seen[cut - 1] + 1, seen[-1] - seen[cut] + 1
-            if min(early, late) < least or max(early, late) < VERIFYING_VIEWS:
-                continue
-            rows.append(np.arange(begin, begin + count))
-            part.append(2 * len(which) + (np.arange(count) >= cut))
-            which.append(place)
-    if not which:
-        return {}
-    row, piece, owner = np.concatenate(rows), np.concatenate(part), np.array(which)
-    halves = Observations(observations.view[row], piece, observations.xy[row],
-                          np.arange(2 * len(owner)), observations.clock,
-                          observations.shutter and observations.shutter.select(row),
-                          None if observations.neighbours is None
-                          else observations.neighbours[row])
-    test = judge_tracks(fit.bundle, fit.state, halves)
-    if test is None:
-        return {}
-    square, lost = (np.add.reduceat(values, np.arange(0, 2 * len(owner), 2))
-                    for values in (test.square, test.lost))
-    freedom = freedom_of(test.length - test.lost).reshape(-1, 2).sum(axis=1)
-    sound = (chi2_sf(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
-        lost <= np.add.reduceat(test.length, np.arange(0, 2 * len(owner), 2)) / 4)
-    cost = np.where(sound, square + 16 * lost, np.inf)
-    found = {}
-    for place in np.unique(owner):
-        mine = np.flatnonzero(owner == place)
-        best = mine[np.argmin(cost[mine])]
-        if np.isfinite(cost[best]):
-            own = (piece // 2 == best) & test.agrees
-            found[int(place)] = (row[own], piece[own] % 2 == 1)
-    return found

@@ -101,6 +101,30 @@ def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Ob
         None where the lens does not see the observations.
 
     """
+    scene = scene_of(bundle, state, observations)
+    if scene is None:
+        return None
+    own, state = scene
+    distance = distances(own, state)
+    copies = int(np.bincount(instants(bundle)).max())
+    return judged(observations.point, distance, spread * copies, copies)
+
+
+def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
+             ) -> tuple[Bundle[SceneState], SceneState] | None:
+    """
+    Place a point for every track before the poses of a state, which are held.
+
+    Parameters are those of `judge_tracks`.
+
+    Returns
+    -------
+    Bundle
+        Of the observations.
+    SceneState
+        None where the lens does not see the observations.
+
+    """
     placed = with_all_points(state, observations)
     if placed is None:
         return None
@@ -111,11 +135,14 @@ def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Ob
     state = replace(placed, path=placed.path.of_views(np.arange(observations.view.max() + 1)))
     own = Bundle(model, observations.view, observations.point, observations.xy,
                  priors=bundle.priors, sigma_px=bundle.sigma_px)
-    state = own.refine_points(state)
-    distance = np.linalg.norm(own.residuals(state), axis=1) / bundle.sigma_px
-    distance = np.nan_to_num(distance, nan=np.inf)
-    copies = int(np.bincount(instants(bundle)).max())
-    return judged(observations.point, distance, spread * copies, copies)
+    return own, own.refine_points(state)
+
+
+def distances(scene: Bundle[SceneState], state: SceneState) -> np.ndarray:
+    """Lengths of the residuals (N,), in sigmas; infinite where there is none."""
+    length: np.ndarray = np.nan_to_num(np.linalg.norm(scene.residuals(state), axis=1),
+                                       nan=np.inf)
+    return length / scene.sigma_px
 
 
 def instants(bundle: Bundle[SceneState]) -> np.ndarray:

@@ -14,8 +14,8 @@
 """
 Covariance of the camera that the pencil of conics gives (thesis 6.4, where it was left open).
 
-omega(mu) = C + mu l l^T moves with the fixed points and with mu, mu with the fixed points and the
-facts, K with omega by the derivative of Cholesky's factor. All of it in closed form.
+omega(mu) = C + mu l l^T moves with the fixed points and with mu, and mu with the fixed points and
+the facts. K moves with omega by the derivative of Cholesky's factor. All of it in closed form.
 """
 
 from __future__ import annotations

@@ -188,8 +188,8 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     Returns
     -------
     PencilCalibration or NoEstimate
-        No camera where no fact is known, where the facts have no hold on the focal length
-        (the reason gives the number), or where the conic is not definite.
+        No camera where no fact is known, or where the conic is not definite. None, too, where the
+        facts have no hold on the focal length; the reason gives the number.
 
     """
     known = [name for name in ('aspect_ratio', 'principal_point', 'skew')

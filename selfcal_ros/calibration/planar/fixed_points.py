@@ -21,7 +21,7 @@ no parallax, motion that is not planar - are told apart here and come back as a 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,7 +50,9 @@ __all__ = ['calibrate_estimate', 'calibrate_from_fixed_points', 'fixed_points',
            'FixedPointEstimate', 'PencilCalibration']
 
 #: Ways to find the horizon l and the vanishing point v.
-Method = Literal['batch', 'pairs']
+Method: TypeAlias = Literal['batch', 'pairs']
+#: The motions that fixed points tell of.
+PlanarMotion: TypeAlias = Literal['planar', 'circular']
 #: The screw axes count as one, so that v is undetermined, below this mean squared deviation in
 #: sigmas per degree of freedom.
 COINCIDENT_CHI2 = 4.0
@@ -93,7 +95,7 @@ class FixedPointEstimate:
     """
 
     fixed: FixedPoints
-    motion: str
+    motion: PlanarMotion
     pairs: PlanarPairs
     pair_frames: np.ndarray
     canonical: np.ndarray
@@ -221,7 +223,7 @@ class _FixedLines:
 
     kept: np.ndarray
     result: PlanarPairs
-    motion: str
+    motion: PlanarMotion
     screw_axis: np.ndarray
     unused: np.ndarray
     influence: np.ndarray
@@ -278,7 +280,8 @@ def _horizon_and_point(matched: MatchedPairs, method: Method, trim_sigma: float,
     influence = np.zeros((total, 2, 9))
     influence[..., :3] = moved[..., :2] @ l_slope.T
     influence[..., 3:6] = moved[..., 2:] @ v_slope.T
-    motion, screw_axis = 'planar', result.screw_axes[0]
+    motion: PlanarMotion = 'planar'
+    screw_axis = result.screw_axes[0]
     lines = planar_pairs.pair_lines(data, state, sound.planar_cost)
     axis, axis_moved, chi2 = mean_screw_axis(lines)
     to_pixels = _ToPixels(data.weight, observed, total)

@@ -43,6 +43,7 @@ from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
+from selfcal_ros.values.motion import Motion
 from selfcal_ros.values.parameter_status import Status, unobservable_among
 from selfcal_ros.version import SOFTWARE
 
@@ -82,7 +83,7 @@ class RigOptimum:
     found: RigObservations
     facts: Mapping[str, CameraFacts]
     sizes: Mapping[str, tuple[int, int]]
-    motion: str
+    motion: Motion
     noise_px: float
     shared: bool
 

@@ -26,6 +26,7 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.rotation import roll_pitch_yaw
+from selfcal_ros.values.motion import Motion
 from selfcal_ros.values.parameter_status import Status
 
 #: Degrees of freedom of a camera in its rig: place, and small turns about the rig's axes (rad).
@@ -127,7 +128,7 @@ class RigCalibration:
     covariance: np.ndarray
     unit: str
     scale: float
-    motion: str
+    motion: Motion
     frames: tuple[int, ...]
     noise_sigma_px: float
     reprojection_rms_px: float

@@ -16,7 +16,7 @@ The path of the camera as others read it: where it was, and how well that is kno
 
 Poses are those of the camera's optical frame in the world (world_T_camera). World and unit are
 those of `metric_structure`: the body frame of the first view, z up, and the median step between
-successive views, or the metre where the poses of a robot tell the scale. A known object is its
+successive views. Where the poses of a robot tell the scale, it is the metre. A known object is its
 own world, in metres. A camera that only turns has the body frame of its first view, and no unit.
 
 A covariance is that of the pose relative to the first view, whose own is zero; before a known
@@ -36,6 +36,7 @@ from selfcal_ros.calibration.structure.metric_structure import (
     IN_A_PLANE, metres_a_step, world_and_scale)
 from selfcal_ros.calibration.structure.structure_measurement import regression
 from selfcal_ros.geometry.chain_inverse import carried_blocks
+from selfcal_ros.values.motion import Motion
 
 #: Motion before a known object, and without a path.
 OF_AN_OBJECT, TURNING = 'known-object', 'rotation'
@@ -68,7 +69,7 @@ class CameraPath:
     rotation: np.ndarray
     centre: np.ndarray
     covariance: np.ndarray | None
-    motion: str
+    motion: Motion
     metres_a_step: float | None = None
 
     def __len__(self) -> int:

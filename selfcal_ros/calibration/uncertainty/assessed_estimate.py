@@ -14,10 +14,10 @@
 """
 An estimate, and one after another the corrections of its covariance.
 
-The equations alone say how independent errors spread. Beside them come what the errors share, what
-the lens does beyond its model, what is known of lenses, and what no residual shows at all. Every
-motion runs through the same chain. It has steps of its own between the shared ones, and where it
-leaves a shared one out it says why.
+The equations alone say how independent errors spread. Beside them come what the errors share, and
+what the lens does beyond its model. What is known of lenses counts, and so does what no residual
+shows at all. Every motion runs through the same chain. It has steps of its own between the shared
+ones, and where it leaves a shared one out it says why.
 """
 
 from __future__ import annotations

@@ -14,12 +14,11 @@
 """
 How far from independent are the errors? What the covariance of ideal noise cannot see.
 
-Errors that the observations of one track, of one view or segment of views, or of one region of
-the image share (drift of a patch, a jolt, a lens that the model does not describe) do not
-average out. Sums of influences
-over such clusters measure what they do to the calibration (the cluster-robust covariance; Liang
-and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011), and so do estimates
-that leave out one segment of views each.
+Errors may be shared by the observations of one track, of one view or segment of views, or of one
+region of the image. Such are drift of a patch, a jolt, a lens that the model does not describe.
+They do not average out. Sums of influences over such clusters measure what they do to the
+calibration (the cluster-robust covariance; Liang and Zeger 1986; several ways of clustering:
+Cameron, Gelbach and Miller 2011), and so do estimates that leave out one segment of views each.
 """
 
 from __future__ import annotations
@@ -49,9 +48,8 @@ class ClusterCovariance:
     Attributes
     ----------
     ratios : dict of str to float
-        Sigma of the calibration with errors shared within 'track' or 'region' over
-        sigma with independent errors, mean over the estimated parameters; 1 where nothing
-        significant was found.
+        By 'track' or 'region': the sigma with errors shared within it over that with independent
+        ones, mean over the estimated parameters; 1 where nothing significant was found.
     covariance : ndarray, shape (k, k)
         Of the internal parameters, dependence included.
 
@@ -209,9 +207,10 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     """
     Variance that errors shared by segments of views add.
 
-    With independent errors the shift of an estimate that leaves out a part of the data has the
-    covariance of that estimate less that of the one from all (Hausman 1978). Shifts larger than
-    that tell of errors that a segment shares; linear cluster sums of few groups would miss them.
+    An estimate that leaves out a part of the data is shifted. With independent errors the shift
+    has the covariance of that estimate less that of the one from all (Hausman 1978). Shifts larger
+    than that tell of errors that a segment shares; linear cluster sums of few groups would miss
+    them.
 
     Parameters
     ----------

@@ -15,8 +15,8 @@
 Does the focal length vary? What an optimum says, by one linear step.
 
 The derivative by each view's focal length is appended to the normal equations of the optimum, and
-everything else is eliminated. What remains is a quadratic in the logs of the focal lengths, from
-which follow the best steady growth, and how probable random walks of several sizes are (type-II
+everything else is eliminated. What remains is a quadratic in the logs of the focal lengths. From
+it follow the best steady growth, and how probable random walks of several sizes are (type-II
 maximum likelihood; Bishop 2006, 3.5).
 """
 

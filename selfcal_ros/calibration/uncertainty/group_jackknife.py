@@ -14,8 +14,8 @@
 """
 What would the estimate be without a segment of views? A delete-a-group jackknife.
 
-Nothing is optimised again: the optimum is linearised once, the segment's observations are taken
-out of its normal equations, and one Gauss-Newton step goes to the optimum of the rest (case
+Nothing is optimised again: the optimum is linearised once, and the segment's observations are
+taken out of its normal equations. One Gauss-Newton step goes to the optimum of the rest (case
 deletion; Cook and Weisberg 1982, 5.2).
 """
 

@@ -16,8 +16,8 @@ Which share of what is known of each parameter comes from the images, and which 
 
 The covariance C of an estimate from images and facts obeys C = C (I + Λ) C, with I the images'
 information and Λ that of the facts. So C Λ C is the part of the variance that the facts' own
-sigmas bring in, and of a parameter that has a fact of its own, its share is that of the
-information. An exact fact brings in no variance; what rests on it shows when it is taken away.
+sigmas bring in. Of a parameter that has a fact of its own, its share is that of the information.
+An exact fact brings in no variance; what rests on it shows when it is taken away.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@
 The prior over real lenses, combined anew with images whose errors are correlated.
 
 The adjustment weighs what is known beforehand as if every observation erred by itself. Where
-tracks, regions or stretches of the way share errors, the images know less than that, and a lens
-that nobody ever built would explain what the images share. Once those errors are known, the
-images alone are one measurement of the lens, and what is known beforehand another. Both are put
-together anew, each by its covariance:
+tracks, regions or stretches of the way share errors, the images know less than that. A lens that
+nobody ever built would explain what the images share. Once those errors are known, the images
+alone are one measurement of the lens, and what is known beforehand another. Both are put together
+anew, each by its covariance:
 
     P' = D⁻¹ + P,    x' = P'⁻¹ (D⁻¹ d + P m)
 

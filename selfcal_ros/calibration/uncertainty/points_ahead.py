@@ -14,11 +14,11 @@
 """
 The constraint that points lie ahead of the camera, for a lens that the images leave open.
 
-Beside large rotations a short lever leaves a valley, along which the focal length grows and all
+Beside large rotations a short lever leaves a valley. Along it the focal length grows and all
 points move away, through infinity and on behind the camera. Images alone do not say where in it
-the truth lies, but a part of it would put points where nothing can be seen. That the inverse
-depth ρ of a point is positive is a measurement like any other. With the lens at x, and what the
-images say of ρ there, a Gaussian of mean ρ(x) and sigma s, its likelihood is
+the truth lies, but a part of it would put points where nothing can be seen. That the inverse depth
+ρ of a point is positive is a measurement like any other. With the lens at x, and what the images
+say of ρ there, a Gaussian of mean ρ(x) and sigma s, its likelihood is
 
     P(ρ > 0 | x) = Φ(ρ(x) / s),
 

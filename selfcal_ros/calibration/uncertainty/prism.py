@@ -14,12 +14,11 @@
 """
 Variance for thin-prism distortion, where a lens seems decentred by more than most are.
 
-A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992), nearly
-as decentring p₁, p₂ and a step of the principal point do together. No file of ROS has names for
-it, and images seldom tell one from the other. So where decentring is found that is certain, and
-larger than that of ordinary lenses, as much of it again may be a prism: s has the variance of
-what is beyond the ordinary, the images count as in any estimate, and what s would move is added
-to the covariance.
+A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992), nearly as decentring
+p₁, p₂ and a step of the principal point do together. No file of ROS has names for it, and images
+seldom tell one from the other. So where decentring is found that is certain, and larger than that
+of ordinary lenses, as much of it again may be a prism: s has the variance of what is beyond the
+ordinary, and the images count as in any estimate. What s would move is added to the covariance.
 """
 
 from __future__ import annotations

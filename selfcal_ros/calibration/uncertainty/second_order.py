@@ -18,8 +18,8 @@ Where parameters trade against each other (k1 against k2, focal length against a
 thin across a surface that is bent. The ellipsoid at the estimate is tangent to that surface, and
 the truth, a sigma away along it, lies off the ellipsoid by the offset. How the Fisher information
 turns along the surface says how much: its Christoffel symbols are the second derivatives of the
-model in units of sigmas, the parameter-effects curvature of Bates and Watts (1980), and the mean
-square of the offset follows in closed form.
+model in units of sigmas. They are the parameter-effects curvature of Bates and Watts (1980), and
+the mean square of the offset follows in closed form.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def mean_square_offset(slopes: np.ndarray) -> np.ndarray:
     """
     Mean square of how far a bent model lies from its tangent, for Gaussian errors.
 
-    With the second derivatives A of the model in coordinates u in which the information is the
-    identity, the truth u off the estimate by N(0, I) lies off the tangent by ½ Aₖ(u, u).
+    A are the second derivatives of the model, in coordinates u in which the information is the
+    identity. The truth, off the estimate by u of N(0, I), lies off the tangent by ½ Aₖ(u, u).
 
     Parameters
     ----------

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.equidistant import EQUIDISTANT
 from selfcal_ros.geometry.lenses.fov import FOV
@@ -27,8 +29,11 @@ from selfcal_ros.geometry.lenses.unified import DOUBLE_SPHERE, EUCM, UCM
 LENS_MODELS: dict[str, LensModel] = {
     model.name: model for model in (PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT, FOV, UCM, EUCM,
                                     DOUBLE_SPHERE)}
+#: Names of what can be stated of a lens; auto: found out.
+LensChoice: TypeAlias = Literal['auto', 'none', 'radial1', 'radial2', 'radial3', 'radtan',
+                                'plumb_bob', 'rational', 'equidistant']
 #: What can be stated (`--lens`): the model, and the coefficients that it leaves free.
-LENS_CHOICES: dict[str, tuple[LensModel, tuple[str, ...]]] = {
+LENS_CHOICES: dict[LensChoice, tuple[LensModel, tuple[str, ...]]] = {
     'none': (PLUMB_BOB, ()),
     'radial1': (PLUMB_BOB, ('k1',)),
     'radial2': (PLUMB_BOB, ('k1', 'k2')),

@@ -15,12 +15,12 @@
 
 from __future__ import annotations
 
-from math import inf, radians
+from math import radians
 import re
 
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera_facts import LEAST_SIGMA
+from selfcal_ros.geometry.camera_facts import LARGEST_SIGMA, LEAST_SIGMA
 
 #: Parts of a mount that can be stated, with their units.
 PARTS = {'x': 'm', 'y': 'm', 'z': 'm', 'roll': 'degrees', 'pitch': 'degrees', 'yaw': 'degrees',
@@ -48,7 +48,7 @@ def stated_sigmas(text: str | None) -> tuple[float | None, float | None]:
     words = text.split(':')
     numbers = [_number(word) for word in words]
     if len(numbers) != 2 or not all(
-            number is not None and LEAST_SIGMA <= number < inf for number in numbers):
+            number is not None and LEAST_SIGMA <= number <= LARGEST_SIGMA for number in numbers):
         raise ArgumentError(f'--robot-sigma takes metres and degrees, such as 0.001:0.05, not '
                             f'{text!r:.40}.')
     return numbers[0], radians(numbers[1] or 0.0)

@@ -235,8 +235,8 @@ def _from_result(text: str, source: str) -> list[StoredCamera]:
         raise InputError(f'{source}: {error}') from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
         # whatever values of other kinds and sizes lead to
-        raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
-                         ) from None
+        raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file; give '
+                         'camera.yaml of the same calibration.') from None
     failed = [result for _, result, _ in found if not result]
     if failed or not found:
         raise InputError(f'{source} holds no camera. {" ".join(map(str, failed[:1]))}'.rstrip())

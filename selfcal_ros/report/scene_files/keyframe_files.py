@@ -48,12 +48,15 @@ class KeyframeFiles:
         Where these files have been from the start; None: they are written, or there are none.
     colours : ndarray of uint8, shape (P, 3), or None
         Red, green and blue of the points.
+    written : bool
+        Whether they have been written as files.
 
     """
 
     names: tuple[str, ...]
     folder: Path | None
     colours: np.ndarray | None
+    written: bool = False
 
     def relative_to(self, place: Path) -> list[str]:
         """Return the files as seen from a folder, whose own images stand in `FOLDER`."""
@@ -119,7 +122,8 @@ def read_keyframes(source: FrameSource, views: np.ndarray, tracks: Tracks, point
     if missing:
         raise InputError(f'{source.path} has changed: image {missing[0]} is not there any more.')
     return KeyframeFiles(tuple(names[int(one)] for one in views),
-                         source.path if are_files else None, colours)
+                         source.path if are_files else None, colours,
+                         bool(folders) and not are_files)
 
 
 def _make(folder: Path) -> None:

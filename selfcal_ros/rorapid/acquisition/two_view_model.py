@@ -14,9 +14,9 @@
 """
 A wireframe model from two images between which a known camera moved without turning (7.3.4).
 
-Points seen in both give the epipole, which is all there is to find: F = [e]x. The structure of
-[I | 0] and [I | e] is affine (lemma 4.1), and the known K makes it metric (2.16), up to a scale
-that one known length or the way that the camera went supplies.
+Points seen in both give the epipole, which is all there is to find: F = [e]x. The structure of [I
+| 0] and [I | e] is affine (lemma 4.1), and the known K makes it metric (2.16), up to a scale. One
+known length supplies that, or the way that the camera went.
 """
 
 from __future__ import annotations

@@ -115,11 +115,11 @@ class CommonScatter:
     How much more a pose scatters than independent edgels suggest.
 
     Edgels of one line share errors (shading, background, sampling). The pull of a whole line on
-    the pose, gradient g of its part of the cost, shows them: over all lines the sum of g' V g,
-    V the covariance of the pose from the others, has a known mean for independent edgels. And
-    the cost is less curved than the weights of its edgels say, for an edgel that lies off is left
-    out, whichever pose it speaks for. Both ratios make the factor of the variance: the sandwich
-    of an M-estimator, cluster-robust, of this image and, with a weight, of those before.
+    the pose, gradient g of its part of the cost, shows them: over all lines the sum of g' V g, V
+    the covariance of the pose from the others, has a known mean for independent edgels. And the
+    cost is less curved than the weights of its edgels say. An edgel that lies off is left out,
+    whichever pose it speaks for. Both ratios make the factor of the variance: the sandwich of an
+    M-estimator, cluster-robust, of this image and, with a weight, of those before.
     """
 
     def __init__(self, unseen: float = UNSEEN):
@@ -191,9 +191,9 @@ def shared_by_outline(rows: np.ndarray, weight: np.ndarray, inside: np.ndarray,
     """
     Information that an outline has too much, for what shading moves in common.
 
-    An offset d of many places with rows J, weights w and the object on the side s moves the
-    estimate by H^-1 g d, with g = sum w s J and H the information of the image. Its variance
-    takes g (1 + g' H^-1 g)^-1 g' away, in units of the offset's sigma.
+    Many places have an offset d in common, with rows J, weights w and the object on the side s. It
+    moves the estimate by H^-1 g d, with g = sum w s J and H the information of the image. Its
+    variance takes g (1 + g' H^-1 g)^-1 g' away, in units of the offset's sigma.
 
     Parameters
     ----------

@@ -15,12 +15,12 @@
 Does the model fit the object, and the camera the image? A score test of what could be wrong.
 
 With a wrong model each pose is a compromise, and what is left of the edges' distances has a
-pattern: along one edge they grow, on one face they are all alike. Each pattern is one way of
-being wrong by a share s: a focal length, the object stretched along one of its directions, a face
-farther out, one edge longer. With the rows J of the pose and D of the pattern, weights W and
-residuals r of the last fit, D' = D - J (J'WJ)^-1 J'WD is what no pose can take up, and
-s = sum D'Wr / sum D'WD'. The sums run over images; the spread of s comes from how far its lines
-disagree (errors along one line are alike).
+pattern: along one edge they grow, on one face they are all alike. Each pattern is one way of being
+wrong by a share s: a focal length, the object stretched along one of its directions, a face
+farther out, one edge longer. J are the rows of the pose, D those of the pattern, W the weights and
+r the residuals of the last fit. D' = D - J (J'WJ)^-1 J'WD is what no pose can take up, and s = sum
+D'Wr / sum D'WD'. The sums run over images; the spread of s comes from how far its lines disagree
+(errors along one line are alike).
 
 The scale of the whole model is none of the patterns: with one camera it cannot be told from the
 distance.

@@ -16,9 +16,9 @@ How large is the object, if one camera cannot tell? Two views with a known step 
 
 A model that is too large by the share s puts the object too far away by s, in exactly the same
 image: K (R (1 + s) X + (1 + s) t) is the same point as K (R X + t). Perspective tells size over
-distance, and nothing else. Two cameras a known distance apart, or one camera that moved by a
-known distance, add metres. Each finds the object (1 + s) t_i away, so that with the known motion
-X_2 = R X_1 + t of points from the first camera's frame to the second's
+distance, and nothing else. Two cameras a known distance apart, or one camera that moved by a known
+distance, add metres. Each finds the object (1 + s) t_i away. So with the known motion X_2 = R X_1
++ t of points from the first camera's frame to the second's
 
     t_2 - R t_1 = (1 + s) t,
 

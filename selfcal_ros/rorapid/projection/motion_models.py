@@ -105,9 +105,9 @@ class PlaneLearner:
     """
     Learn the plane of planar motion from a general track (7.3.3).
 
-    The translations of the object's origin lie in a plane with the axis as its normal, and the
-    rotations between any two poses turn about the axis. Both are sums that are updated with each
-    pose, so that the work does not grow with the track.
+    The translations of the object's origin lie in a plane whose normal is the axis. The rotations
+    between any two poses turn about the axis. Both are sums that are updated with each pose, so
+    that the work does not grow with the track.
 
     Parameters
     ----------

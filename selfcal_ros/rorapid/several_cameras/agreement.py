@@ -14,11 +14,11 @@
 """
 Do the cameras agree? What a wrong transform, a knocked camera or a wrong size leaves behind.
 
-A camera whose place is wrong by a small shift and turn (tau, w) puts an object at c, seen from
-its own place t, elsewhere by d = (w, tau + w x (c - t)). A model that is too large by a share s
-moves it by s (c - t) along each camera's own rays, so that two cameras differ by s (t' - t). The
-differences of each camera from all others are summed over the images, weighed by what is known of
-them. Errors of neighbouring images are alike, which counts.
+The place t of a camera may be wrong by a small shift and turn (tau, w). Then it puts an object at
+c elsewhere, by d = (w, tau + w x (c - t)). A model that is too large by a share s moves it by s (c
+- t) along each camera's own rays. So two cameras differ by s (t' - t). The differences of each
+camera from all others are summed over the images, weighed by what is known of them. Errors of
+neighbouring images are alike, which counts.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@
 One of several cameras, and what its image says in the frame of the rig.
 
 A correction (theta, Delta) turns the object about its middle, and shifts that. In the frame of
-another camera it is the same, turned: (R theta, R Delta). So the information of an image is
-turned to the rig and added, and so is M (z - x), which pulls a pose x towards the measurement z.
+another camera it is the same, turned: (R theta, R Delta). So the information of an image is turned
+to the rig and added. So is M (z - x), which pulls a pose x towards the measurement z.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ The texture of a curved surface: views of it with corners whose places on the su
 
 A mesh has no plane faces to keep pictures of. Here a view is kept as it was seen, each time the
 object has turned enough. Its corners are followed into the next image from the view that is
-nearest to the predicted pose, drawn as an affine map carries it there. The corners are of the
-surface, not of the last image: nothing drifts while one view lasts.
+nearest to the predicted pose. That view is drawn as an affine map carries it there. The corners
+are of the surface, not of the last image: nothing drifts while one view lasts.
 """
 
 from __future__ import annotations

@@ -14,10 +14,10 @@
 """
 Solid cylinders: the two lines of their outline, and what they hide.
 
-Seen from c, at distance h from the axis in the plane across it, the rays that touch the cylinder
-touch it where the radius makes the angle acos(r / h) with the direction to c. The line of such
-points does not depend on where along the axis they are, so that the outline is two straight
-lines, exactly, in perspective as well.
+It is seen from c, at distance h from the axis in the plane across it. Rays touch the cylinder
+where the radius makes the angle acos(r / h) with the direction to c. The line of such points does
+not depend on where along the axis they are. So the outline is two straight lines, exactly, in
+perspective as well.
 """
 
 from __future__ import annotations

@@ -15,9 +15,9 @@
 Which primitives can be seen, and the control points on them.
 
 A point X is hidden by a triangle with corners A, B, C where the ray from the camera's centre c
-meets the triangle first: X - c = l1 (A - c) + l2 (B - c) + l3 (C - c) with no l negative and
-l1 + l2 + l3 > 1. This needs no image plane and no orientation of the faces, and is exact for
-every set of plane faces, convex or not, closed or open.
+meets the triangle first: X - c = l1 (A - c) + l2 (B - c) + l3 (C - c) with no l negative and l1 +
+l2 + l3 > 1. This needs no image plane and no orientation of the faces. It is exact for every set
+of plane faces, convex or not, closed or open.
 """
 
 from __future__ import annotations
