@@ -26,7 +26,8 @@ from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
 from selfcal_ros.calibration.estimators.motion_calibration import MOTION_MODELS
-from selfcal_ros.calibration.estimators.moving_camera import calibrate_moving, MovingCamera
+from selfcal_ros.calibration.estimators.motion_choice import calibrate_moving
+from selfcal_ros.calibration.estimators.moving_camera import MovingCamera
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating

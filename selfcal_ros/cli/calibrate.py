@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
@@ -31,6 +32,13 @@ from selfcal_ros.cli.robot_options import add_mount_outputs, add_robot_arguments
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
 from selfcal_ros.cli.status import LeftOut, status_of
 from selfcal_ros.cli.verbosity import add_quiet_argument
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import Calibration, NotCalibrated
+    from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+    from selfcal_ros.pipeline.feature_session import ExtractedTracks
+    from selfcal_ros.pipeline.frame_source import FrameSource
+    from selfcal_ros.pipeline.progress import Progress
 
 #: Motions from tracks of an unknown scene.
 MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general', 'repeated')
@@ -208,7 +216,7 @@ def _check_suffix(what: str, path: Path | None, kind: str, suffixes: tuple[str, 
         raise ArgumentError(f'The {what} {path} is {kind}, and must be named {suffixes[0]}.')
 
 
-def _run_one(args: argparse.Namespace, path: str, settings) -> int:
+def _run_one(args: argparse.Namespace, path: str, settings: CalibrationSettings) -> int:
     """Calibrate one recording; returns the exit status."""
     from selfcal_ros.cli.progress import Progress
     from selfcal_ros.cli.time_left import CALIBRATION
@@ -231,7 +239,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         replaced = outputs.replaced
         # before the long work, so that a mistyped folder costs a second and not the result
         outputs.check(path, args.mask, args.model, args.camera, args.object,
-                      settings.robot and settings.robot.table, force=args.force)
+                      None if settings.robot is None else settings.robot.table,
+                      force=args.force)
         check_outputs((), (path,), args.force, (args.view,))
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)
@@ -239,7 +248,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
             result, reading = calibrate_input(path, settings, progress)
         known = args.track or settings.known_object
 
-        def open_frames():
+        def open_frames() -> FrameSource:
             return open_source(path, args.topic, colour=True, excerpt=settings.excerpt)
 
         why = (motion_text(result, args.motion),) if result and not known else ()
@@ -270,7 +279,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     return status_of(bool(result), left_out)
 
 
-def _figures(reading) -> tuple[str, ...]:
+def _figures(reading: ExtractedTracks) -> tuple[str, ...]:
     """Return the time line of a recording that was followed in parts."""
     survey = getattr(reading, 'survey', None)
     if survey is None or len(survey.glances) < 2:
@@ -279,7 +288,8 @@ def _figures(reading) -> tuple[str, ...]:
     return (timeline_html(survey),)
 
 
-def _from_edges(args, path, settings, progress):
+def _from_edges(args: argparse.Namespace, path: str | Path, settings: CalibrationSettings,
+                progress: Progress) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """Calibrate from the edges of a tracked object; returns the result and the reading."""
     from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
@@ -291,7 +301,7 @@ def _from_edges(args, path, settings, progress):
                                     progress=progress, excerpt=settings.excerpt)
 
 
-def _check_track(args) -> None:
+def _check_track(args: argparse.Namespace) -> None:
     """Refuse options that belong to --track without it, and --track without them."""
     from selfcal_ros.errors import ArgumentError
     if not args.track:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from typing import TextIO
 
 _BOLD, _RED, _GREEN, _GREY, _RESET = '\033[1m', '\033[31m', '\033[32m', '\033[90m', '\033[0m'
 _AMBER = '\033[33m'
@@ -28,17 +29,17 @@ _WORDS = ((re.compile(r'\b(estimated|calibrated)$'), _GREEN),
           (re.compile(r'\b(unobservable|contradicts the others|not calibrated.*)$'), _RED))
 
 
-def wants_colour(stream) -> bool:
+def wants_colour(stream: TextIO | None) -> bool:
     """Tell whether a stream is a terminal that shows colours (https://no-color.org)."""
     if os.environ.get('NO_COLOR') or os.environ.get('TERM') == 'dumb':
         return False
     try:
-        return stream.isatty()
+        return stream is not None and stream.isatty()
     except (AttributeError, ValueError):
         return False
 
 
-def coloured(text: str, stream=None) -> str:
+def coloured(text: str, stream: TextIO | None = None) -> str:
     """
     Colour a result for a terminal; the same text for anything else.
 

@@ -16,14 +16,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 import sys
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
 from selfcal_ros.cli.status import EXIT_DIFFER, EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from selfcal_ros.geometry.camera import Camera
+    from selfcal_ros.report.camera_files.stored import StoredCamera
+    from selfcal_ros.report.comparison import Comparison
+    from selfcal_ros.report.mounts.comparison import MountComparison
 
 #: What scales with the focal length.
 _FOCAL = ('fx', 'fy', 'skew')
@@ -89,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DIFFER if beyond else EXIT_DONE
 
 
-def _mounts(args):
+def _mounts(args: argparse.Namespace) -> MountComparison | None:
     """Compare where the cameras sit on their robots; None unless both files tell."""
     from selfcal_ros.report.mounts.comparison import compare_mounts, placed_camera
     from selfcal_ros.report.mounts.transform_reading import is_transform_file
@@ -102,13 +111,13 @@ def _mounts(args):
     return None if a is None or b is None else compare_mounts(a, b)
 
 
-def _hold_cameras(args) -> bool:
+def _hold_cameras(args: argparse.Namespace) -> bool:
     """Tell whether both files hold cameras, too."""
     from selfcal_ros.report.mounts.transform_reading import is_transform_file
     return not any(map(is_transform_file, (args.first, args.second)))
 
 
-def _run_mounts(args, found) -> int:
+def _run_mounts(args: argparse.Namespace, found: MountComparison) -> int:
     """Compare two transforms, without cameras; returns the exit status."""
     if args.picture:
         raise ArgumentError('--picture shows cameras, and these files hold transforms; leave it '
@@ -137,7 +146,7 @@ def _check_options(args: argparse.Namespace) -> None:
                   (args.json, args.picture))
 
 
-def _draw(args, found, camera) -> None:
+def _draw(args: argparse.Namespace, found: Comparison, camera: Camera) -> None:
     """Write the picture."""
     from selfcal_ros.report.comparison_figure import comparison_figure
     from selfcal_ros.values.output_files import atomic_write
@@ -146,7 +155,7 @@ def _draw(args, found, camera) -> None:
     atomic_write(args.picture, (drawing.svgs() if svg else drawing.pngs())[0])
 
 
-def _judged(args, found) -> str:
+def _judged(args: argparse.Namespace, found: Comparison) -> str:
     """Say on which side of --sigmas they are."""
     if found.contradiction and not found.joint_sigmas > args.sigmas:
         return 'They contradict each other in what both hold as known, which no sigmas explain.'
@@ -154,7 +163,7 @@ def _judged(args, found) -> str:
             f'{"more" if found.beyond(args.sigmas) else "not more"} than {args.sigmas:g}.')
 
 
-def _covariance(path, stored, named: Path | None):
+def _covariance(path: str | Path, stored: StoredCamera, named: Path | None) -> np.ndarray | None:
     """Return the covariance of a camera: its own, of a named file, or of a file beside it."""
     from selfcal_ros.report.camera_files.formats import read_cameras
     if stored.covariance is not None and named is None:
@@ -181,7 +190,7 @@ def _covariance(path, stored, named: Path | None):
     return None
 
 
-def _same(a, b) -> bool:
+def _same(a: Camera, b: Camera) -> bool:
     """Tell whether two files hold one camera, up to rounding."""
     import numpy as np
     theirs = b.distortion_as(a.model)
@@ -190,7 +199,7 @@ def _same(a, b) -> bool:
             and np.allclose(a.distortion, theirs, rtol=1e-5, atol=1e-8))
 
 
-def _rows(a, b, covariances) -> list[dict]:
+def _rows(a: Camera, b: Camera, covariances: Sequence[np.ndarray | None]) -> list[dict[str, Any]]:
     """Compare parameter by parameter, as far as both have the same ones."""
     import numpy as np
     from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
@@ -215,7 +224,8 @@ def _rows(a, b, covariances) -> list[dict]:
     return rows
 
 
-def _text(args, found, rows, covariances) -> str:
+def _text(args: argparse.Namespace, found: Comparison, rows: list[dict[str, Any]],
+          covariances: Sequence[np.ndarray | None]) -> str:
     """Say it for a person."""
     import numpy as np
     lines = [f'A {args.first}', f'B {args.second}', '',
@@ -252,21 +262,22 @@ def _text(args, found, rows, covariances) -> str:
     return '\n'.join(lines)
 
 
-def _content(args, found, rows) -> dict:
+def _content(args: argparse.Namespace, found: Comparison, rows: list[dict[str, Any]],
+             ) -> dict[str, Any]:
     """Say it for a program."""
     import numpy as np
     distance = found.distance_px
-    tested = found.sigmas is not None
     return {
         'a': str(args.first), 'b': str(args.second),
         'parameters': {row.pop('name'): row for row in map(dict, rows)},
         'difference_px': {'mean': float(np.nanmean(distance)), 'max': float(np.nanmax(distance)),
                           'at': found.pixels[found.worst].tolist()},
         'rotation_deg': float(np.degrees(found.rotation_rad)),
-        'chi2': found.chi2, 'degrees_of_freedom': found.freedom if tested else None,
+        'chi2': found.chi2, 'degrees_of_freedom': None if found.sigmas is None else found.freedom,
         'p_value': found.p_value,
         'joint_sigmas': found.joint_sigmas,
-        'sigmas_at_most': float(found.sigmas[found.worst]) if tested else None,
+        'sigmas_at_most': (
+            None if found.sigmas is None else float(found.sigmas[found.worst])),
         'agree': found.agree, 'verdict': found.verdict,
         **({} if args.sigmas is None else {'limit_sigmas': args.sigmas,
                                            'beyond': found.beyond(args.sigmas)})}

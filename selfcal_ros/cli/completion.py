@@ -80,6 +80,6 @@ def _actions(parser: argparse.ArgumentParser) -> Iterable[argparse.Action]:
             yield action
 
 
-def _nothing(**_) -> tuple[str, ...]:
+def _nothing(**_: object) -> tuple[str, ...]:
     """Offer nothing."""
     return ()

@@ -20,8 +20,10 @@ What INPUT is decides which of the two.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 import re
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import add_force_argument, check_outputs
@@ -30,6 +32,10 @@ from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    from selfcal_ros.pipeline.excerpt import Excerpt
+    from selfcal_ros.pipeline.frame_source import Frame
 
 #: Kinds of camera file that can be written.
 KINDS = ('ros', 'opencv', 'kalibr', 'colmap', 'mrcal')
@@ -194,7 +200,7 @@ def _topics(args: argparse.Namespace) -> tuple[str | None, str]:
     return args.input_topic, topic or DEFAULT_TOPIC
 
 
-def _convert_images(args: argparse.Namespace, excerpt) -> int:
+def _convert_images(args: argparse.Namespace, excerpt: Excerpt) -> int:
     """Turn images into a bag."""
     from selfcal_ros.pipeline.bag_writer import write_image_bag
     from selfcal_ros.pipeline.sources import open_source
@@ -212,7 +218,7 @@ def _convert_images(args: argparse.Namespace, excerpt) -> int:
         if source.kind == 'tracks':
             raise InputError(f'{args.input} holds tracks, not images; a bag needs images.')
 
-        def counted():
+        def counted() -> Iterator[Frame]:
             for done, frame in enumerate(source, start=1):
                 yield frame
                 progress('writing', done, source.count)

@@ -25,11 +25,16 @@ from pathlib import Path
 import re
 import shutil
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.force import add_force_argument, output_folder, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import Calibration, NotCalibrated
+    from selfcal_ros.values.tracks import Tracks
 
 #: What lies there is of an earlier demo.
 OWN_FOLDER = Path('selfcal_demo')
@@ -174,7 +179,7 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
     return status_of(bool(result or direct), left_out)
 
 
-def _agreement(live, direct) -> str:
+def _agreement(live: Calibration, direct: Calibration | NotCalibrated) -> str:
     """Compare the nodes' result with that of the bag itself, in a sentence."""
     if not direct:
         return f'Straight from the bag, without nodes: {direct}'
@@ -186,7 +191,8 @@ def _agreement(live, direct) -> str:
             f'the nodes differ by {apart} px.')
 
 
-def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profile: Path):
+def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profile: Path,
+                   ) -> Calibration | NotCalibrated | None:
     """Return the result of the nodes, None if they came to none."""
     from selfcal_ros.pipeline.child_process import run_module
     from selfcal_ros.report.result_json import result_from_dict
@@ -203,7 +209,7 @@ def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profil
         return None
 
 
-def _from_bag(bag: Path):
+def _from_bag(bag: Path) -> tuple[Calibration | NotCalibrated, Tracks]:
     """Calibrate without nodes; returns the result and the tracks."""
     from selfcal_ros import calibrate, CameraFacts
     from selfcal_ros.pipeline.feature_session import read_tracks
@@ -213,7 +219,7 @@ def _from_bag(bag: Path):
             reading.tracks)
 
 
-def read_truth(bag: Path) -> dict | None:
+def read_truth(bag: Path) -> dict[str, float] | None:
     """Read the truth beside a recording: the value of each parameter."""
     path = bag.with_name(bag.name + '.truth.json')
     if not path.is_file():

@@ -16,14 +16,23 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Sequence
 import json
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.cli.force import check_outputs, output_folder, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from selfcal_ros.geometry.camera import Camera
+    from selfcal_ros.pipeline.frame_source import Frame
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 
 RECORDING = 'bags/tracked_object'
 #: Where the nodes leave their poses, in the folder of the demo.
@@ -34,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     from selfcal_ros.cli.demo import check_recording, without_nodes
     from selfcal_ros.cli.shared_files import shared_file
-    from selfcal_ros.pipeline.tracking_run import read_start, Target
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)
@@ -55,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
             model, camera_file, start_file, args.output_dir, args.rate))
 
 
-def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
+def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
+           for_nodes: tuple[Path, Path, Path, Path, float] | None) -> int:
     """Track through the nodes, if there is something for them, and without; returns the status."""
     from selfcal_ros.cli.demo import LOG, logs_in
     from selfcal_ros.cli.track import track_recording
@@ -72,7 +83,7 @@ def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
     logged = [folder / LOG] if logs_in(folder) - logs else []
     poses = []
 
-    def gather(frame, objects):
+    def gather(frame: Frame, objects: Sequence[TrackedFrame]) -> None:
         tracked, = objects
         if tracked:
             poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
@@ -91,12 +102,12 @@ def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
     return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
 
 
-def _matrix(tracked):
+def _matrix(tracked: TrackedFrame) -> np.ndarray:
     import numpy as np
     return np.column_stack([tracked.rotation, tracked.translation])
 
 
-def _truth(bag: Path) -> dict:
+def _truth(bag: Path) -> dict[int, np.ndarray]:
     """Read the true pose by stamp; empty where the recording comes without."""
     import numpy as np
     path = bag.with_name(bag.name + '.truth.json')
@@ -106,7 +117,8 @@ def _truth(bag: Path) -> dict:
     return dict(zip(content['stamps_ns'], np.array(content['cam_from_object'], float)))
 
 
-def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
+def _through_nodes(bag: Path, model: Path, camera: Path, start_pose: Path, folder: Path,
+                   rate: float) -> list[Any]:
     """Return the poses of the nodes; none if they came to none."""
     from selfcal_ros.cli.demo import log_folder
     from selfcal_ros.cli.shared_files import shared_file
@@ -119,12 +131,13 @@ def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) ->
         run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words),
                    own_graph(shared_file('config/fastdds.xml'), log))
     try:
-        return json.loads(left.read_text(encoding='utf-8'))
+        poses: list[Any] = json.loads(left.read_text(encoding='utf-8'))
+        return poses
     except (OSError, ValueError):
         return []
 
 
-def _errors(poses, truth: dict):
+def _errors(poses: Sequence[Any], truth: dict[int, np.ndarray]) -> tuple[float, ...]:
     """Compare poses with the truth: count, median and largest errors, squared sigmas."""
     import numpy as np
     from selfcal_ros.geometry.rotation import rotation_vector
@@ -144,7 +157,7 @@ def _errors(poses, truth: dict):
             float(np.sqrt(np.median(squares))))
 
 
-def _table(rows) -> str:
+def _table(rows: Iterable[Sequence[Any]]) -> str:
     """Lay the errors out for a person."""
     lines = [f'{"against the truth":22} {"poses":>6} {"rotation, deg":>16} {"position, mm":>16} '
              f'{"in sigmas":>10}',

@@ -42,7 +42,7 @@ def _lens(value: str) -> str:
     return value
 
 
-def _number_or_free(text: str):
+def _number_or_free(text: str) -> float | str:
     """Read a number, or the word free."""
     if text == FREE:
         return FREE
@@ -95,7 +95,7 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        help='standard deviation of the line delay (default 0: exact)')
 
 
-def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
+def facts_from(args: argparse.Namespace, aspect_ratio: float | str = 1.0) -> CameraFacts:
     """
     Turn the options into `CameraFacts`.
 
@@ -115,7 +115,7 @@ def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
     if args.aspect_ratio is not None:
         aspect_ratio = args.aspect_ratio
     return CameraFacts(
-        aspect_ratio=None if aspect_ratio == FREE else aspect_ratio,
+        aspect_ratio=None if aspect_ratio == FREE else float(aspect_ratio),
         skew=None if args.skew == FREE else args.skew,
         principal_point=tuple(args.principal_point) if args.principal_point else None,
         aspect_ratio_sigma=args.aspect_ratio_sigma,

@@ -22,6 +22,7 @@ and pictures are made anew from the same recording, and replace those of the las
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 import os
@@ -31,15 +32,16 @@ from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
 from selfcal_ros.errors import InputError
 
 
-def add_force_argument(parser, what: str = 'replace the camera file if it exists') -> None:
+def add_force_argument(parser: argparse._ActionsContainer,
+                       what: str = 'replace the camera file if it exists') -> None:
     """Add the option --force to a verb, or to a group of its arguments."""
     parser.add_argument('--force', action='store_true', help=what)
 
 
-def check_outputs(precious: Iterable[str | os.PathLike | None],
-                  inputs: Iterable[str | os.PathLike | None], force: bool,
-                  derived: Iterable[str | os.PathLike | None] = (),
-                  options: Mapping[str, str | os.PathLike | None] | None = None) -> None:
+def check_outputs(precious: Iterable[str | os.PathLike[str] | None],
+                  inputs: Iterable[str | os.PathLike[str] | None], force: bool,
+                  derived: Iterable[str | os.PathLike[str] | None] = (),
+                  options: Mapping[str, str | os.PathLike[str] | None] | None = None) -> None:
     """
     Make sure before the work that outputs can be written, and replace nothing without a word.
 
@@ -72,7 +74,7 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
         _refuse_taken(kept, force)
 
 
-def _refuse_taken(kept: list[str | os.PathLike], force: bool) -> None:
+def _refuse_taken(kept: list[str | os.PathLike[str]], force: bool) -> None:
     """Refuse to replace what is kept."""
     taken = [] if force else [str(path) for path in kept
                               if os.path.isfile(path) and os.path.getsize(path)]
@@ -135,7 +137,7 @@ def make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _folders_of(outputs: Iterable[str | os.PathLike]) -> Iterator[None]:
+def _folders_of(outputs: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
     """Make the folders that outputs need; what is refused then leaves no empty ones."""
     folders = [Path(os.path.realpath(output)).parent for output in outputs]
     new = [place for folder in folders for place in (*reversed(folder.parents), folder)

@@ -15,15 +15,18 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 import sys
+from typing import Any
 
 #: A file name that means standard output.
 STANDARD_OUTPUT = '-'
 
 
-def add_json_argument(parser, what: str = 'everything, for another program') -> None:
+def add_json_argument(parser: argparse._ActionsContainer,
+                      what: str = 'everything, for another program') -> None:
     """Add the option --json."""
     parser.add_argument('--json', type=Path, metavar='FILE',
                         help=f'{what}; "-" prints it, and nothing else')
@@ -34,7 +37,7 @@ def is_standard_output(path: Path | None) -> bool:
     return path is not None and str(path) == STANDARD_OUTPUT
 
 
-def write_json(path: Path, content: dict | str) -> None:
+def write_json(path: Path, content: dict[str, Any] | str) -> None:
     """
     Write JSON to a file, whole or not at all, or to standard output.
 

@@ -110,7 +110,7 @@ def _run(argv: list[str]) -> int:
             parser.print_help()
             return EXIT_INPUT
         with library_messages(args):
-            status = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
+            status: int = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
         sys.stdout.flush()
         return status
     except SelfcalError as error:

@@ -19,6 +19,7 @@ import argparse
 from pathlib import Path
 import re
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.force import check_outputs, output_folder
@@ -26,6 +27,10 @@ from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
 from selfcal_ros.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+    from selfcal_ros.pipeline.many_inputs import Outcome, Summary
 
 DEFAULT_FOLDER = 'calibrations'
 
@@ -55,7 +60,7 @@ def _count(value: str) -> int:
     return int(value)
 
 
-def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
+def run_many(args: argparse.Namespace, paths: list[Path], settings: CalibrationSettings) -> int:
     """
     Calibrate many recordings; returns the exit status.
 
@@ -86,7 +91,8 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
         return _run_in(folder, args, paths, settings)
 
 
-def _run_in(folder: Path, args: argparse.Namespace, paths: list[Path], settings) -> int:
+def _run_in(folder: Path, args: argparse.Namespace, paths: list[Path],
+            settings: CalibrationSettings) -> int:
     """Calibrate into a folder that is ours; returns the exit status."""
     from selfcal_ros.pipeline.many_inputs import calibrate_many
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
@@ -133,12 +139,12 @@ def _result_in(folder: Path, summaries: bool) -> Path | None:
 class _RecordingFiles:
     """Writes the result of each recording as it comes, so that none is lost."""
 
-    def __init__(self, folder: Path, seed: int, poses: str | None):
+    def __init__(self, folder: Path, seed: int, poses: str | None) -> None:
         self._folder, self._seed, self._poses = folder, seed, poses
         self._names: set[str] = set()
         self.count = 0
 
-    def write(self, outcome) -> None:
+    def write(self, outcome: Outcome) -> None:
         """Write camera file, result and poses, each whole or not at all."""
         from selfcal_ros.report.camera_uncertainty import uncertainty_comment
         from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -176,7 +182,7 @@ def file_name(text: str) -> str:
     return re.sub(r'[^A-Za-z0-9]+', '_', text).strip('_')
 
 
-def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
+def _write_cameras(summary: Summary, folder: Path, camera_name: str) -> list[Path]:
     """Write the joint result and the figure of each camera; returns the files."""
     from selfcal_ros.report.camera_uncertainty import uncertainty_comment
     from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -205,7 +211,7 @@ def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
     return written
 
 
-def _text(summary) -> str:
+def _text(summary: Summary) -> str:
     """Return the table for a terminal."""
     from selfcal_ros.report.many_inputs_report import COLUMNS, rows_of, verdict_of
     lines = []

@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _check_outputs(args) -> None:
+def _check_outputs(args: argparse.Namespace) -> None:
     """Refuse outputs that cannot be, before the work."""
     from selfcal_ros.errors import ArgumentError
     if args.output.suffix.lower() not in ('.cao', '.yaml', '.yml'):

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.cli.force import check_outputs, is_made_here
@@ -33,6 +34,9 @@ from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.result_json import result_to_json
 from selfcal_ros.values.output_files import OutputTaken
 from selfcal_ros.values.tracks import Tracks
+
+if TYPE_CHECKING:
+    from selfcal_ros.report.open_frames import OpenFrames
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Outputs:
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
-              open_frames: Callable | None = None, notes: tuple[Finding | str, ...] = (),
+              open_frames: OpenFrames | None = None, notes: tuple[Finding | str, ...] = (),
               stamps_ns: Mapping[int, int] | None = None,
               figures: tuple[str, ...] = (),
               force: bool = True,
@@ -209,7 +213,7 @@ def written_or_left_out(path: Path, left_out: list[LeftOut],
 
 
 def write_mount(path: Path, result: Calibration, frame: str | None, source: str = '',
-                open_frames: Callable | None = None, force: bool = True) -> Path:
+                open_frames: OpenFrames | None = None, force: bool = True) -> Path:
     """
     Write the transform from the robot to the camera.
 

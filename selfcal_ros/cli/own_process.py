@@ -20,6 +20,8 @@ from contextlib import contextmanager, suppress
 import os
 import signal
 import sys
+from types import FrameType
+from typing import TextIO
 import warnings
 
 from selfcal_ros.cli.status import EXIT_INPUT
@@ -32,7 +34,7 @@ _CAME: list[int] = []
 class EndedBySignal(BaseException):
     """The process is to end; what is temporary is removed on the way out."""
 
-    def __init__(self, number: int):
+    def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
 
@@ -82,14 +84,14 @@ def own_process(library_noise: bool = False, unfinished: str = '') -> Iterator[N
         _leave(signal.SIGINT)
 
 
-def _end(number: int, _) -> None:
+def _end(number: int, _: FrameType | None) -> None:
     # a second one must not break the unwinding
     signal.signal(number, signal.SIG_IGN)
     _CAME.append(number)
     raise EndedBySignal(number)
 
 
-def _interrupt(number: int, frame) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
     _CAME.append(number)
     signal.default_int_handler(number, frame)
 
@@ -120,8 +122,10 @@ def _flush() -> None:
         sys.exit(EXIT_INPUT)
 
 
-def silence(stream) -> None:
+def silence(stream: TextIO | None) -> None:
     """Lead a stream nowhere, where not even the flush at the end of the process can fail."""
+    if stream is None:
+        return
     with suppress(OSError, AttributeError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -16,13 +16,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 import re
+from typing import Any, NoReturn
 
 from selfcal_ros.cli.status import EXIT_INPUT
 
 
-def add_seed_argument(parser) -> None:
+def add_seed_argument(parser: argparse._ActionsContainer) -> None:
     """Add the option --seed to a verb."""
     parser.add_argument('--seed', type=_seed, default=0, metavar='N',
                         help='what is drawn at random, the samples of RANSAC, is drawn from this '
@@ -95,12 +97,13 @@ def _path(value: str) -> Path:
 class SentenceParser(argparse.ArgumentParser):
     """An argparse parser that does not print its whole usage for a slip of the finger."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Take no empty path, which pathlib makes the current folder."""
         super().__init__(*args, **kwargs)
         self.register('type', Path, _path)
 
-    def parse_args(self, args=None, namespace=None):
+    def parse_args(self, args: Sequence[str] | None = None,  # type: ignore[override]
+                   namespace: argparse.Namespace | None = None) -> argparse.Namespace:
         """Let the verb that was given speak of words that nobody takes."""
         found, rest = self.parse_known_args(args, namespace)
         if rest:
@@ -110,7 +113,7 @@ class SentenceParser(argparse.ArgumentParser):
             speaker.error(f'unrecognized arguments: {" ".join(rest)}')
         return found
 
-    def error(self, message: str):
+    def error(self, message: str) -> NoReturn:
         """Say in one sentence what is wrong, and end."""
         from selfcal_ros.cli.colours import complaint
         message = self._in_full(message)

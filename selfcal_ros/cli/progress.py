@@ -21,7 +21,7 @@ import sys
 import time
 from typing import Any, TextIO
 
-from selfcal_ros.cli.time_left import TimeLeft
+from selfcal_ros.cli.time_left import Courses, TimeLeft
 
 #: Nothing is said of work that takes no longer, seconds.
 PATIENCE_S = 10.0
@@ -52,7 +52,7 @@ class Progress:
     """
 
     def __init__(self, wanted: bool = True, stages: bool = False, stream: TextIO | None = None,
-                 clock: Callable[[], float] = time.monotonic, courses: tuple = ()):
+                 clock: Callable[[], float] = time.monotonic, courses: Courses = ()) -> None:
         self._stream = sys.stderr if stream is None else stream
         self._bar = _Bar(self._stream) if wanted and not stages and self._stream.isatty() else None
         self._lines = wanted and self._bar is None
@@ -63,7 +63,7 @@ class Progress:
         self._start = self._began = self._last = clock()
 
     @classmethod
-    def of(cls, args: argparse.Namespace, courses: tuple = ()) -> Progress:
+    def of(cls, args: argparse.Namespace, courses: Courses = ()) -> Progress:
         """Return what -q and -v ask for."""
         return cls(not getattr(args, 'quiet', False), bool(getattr(args, 'verbose', 0)),
                    courses=courses)
@@ -71,7 +71,7 @@ class Progress:
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.close()
         self._end_stage(self._clock())
@@ -132,7 +132,7 @@ def _duration(seconds: float) -> str:
 class _Bar:
     """A bar of tqdm, a new one for every stage."""
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._bar: Any = None
         self._text = ''

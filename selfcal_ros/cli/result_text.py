@@ -15,18 +15,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.report.phrases import open_parameters, rests_on
 
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.camera_facts import CameraFacts
+
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
 
 
-def facts_text(facts) -> str:
+def facts_text(facts: CameraFacts) -> str:
     """Say in one line what was taken as known."""
-    def spread(sigma):
+    def spread(sigma: float) -> str:
         return 'held' if sigma == 0 else f'sigma {sigma:g}'
 
     known = []
@@ -35,8 +40,8 @@ def facts_text(facts) -> str:
     if facts.skew is not None:
         known.append(f'skew {facts.skew:g} px ({spread(facts.skew_sigma_px)})')
     if facts.principal_point is not None:
-        known.append('principal point ({:g}, {:g}) ({})'.format(
-            *facts.principal_point, spread(facts.principal_point_sigma_px)))
+        u, v = facts.principal_point
+        known.append(f'principal point ({u:g}, {v:g}) ({spread(facts.principal_point_sigma_px)})')
     if facts.line_delay_s is not None:
         known.append(f'line delay {facts.line_delay_s:g} s ({spread(facts.line_delay_sigma_s)})')
     elif facts.shutter != 'auto':
@@ -48,7 +53,7 @@ def facts_text(facts) -> str:
     return f'Facts: {", ".join(known) or "none"}; lens {lens}{trusted}.'
 
 
-def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
+def result_text(result: Calibration | NotCalibrated, truth: dict[str, float] | None = None,
                 notes: tuple[str, ...] = (), mount_facts: frozenset[str] = frozenset()) -> str:
     """
     Return the result for a person.
@@ -99,7 +104,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
     return '\n'.join(lines + mount_lines(result, mount_facts))
 
 
-def _beside(value, sigma, true, decimals) -> str:
+def _beside(value: float, sigma: float, true: float | None, decimals: int) -> str:
     """Show the truth beside a value, and how far away it is."""
     if true is None:
         return f' {"-":>12} {"-":>10} {"-":>7}'

@@ -19,6 +19,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.force import check_outputs, is_made_here, make_folder, written_line
@@ -26,6 +27,12 @@ from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, LeftOut, status_of
 from selfcal_ros.cli.time_left import rig_courses
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import NotCalibrated
+    from selfcal_ros.calibration.rigs.result import RigCalibration
+    from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+    from selfcal_ros.pipeline.rig_input import RigReading
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
@@ -63,7 +70,7 @@ def _length(text: str) -> tuple[float, float]:
     return found
 
 
-def run_rig(args: argparse.Namespace, settings) -> int:
+def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
     """Calibrate a rig; returns the exit status."""
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
@@ -83,7 +90,7 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     files = output_names(base, [one.name for one in inputs])
     chain = base.with_name(f'{base.stem}_camchain.yaml')
     of_colmap = rig_config_path(args.colmap) if args.colmap else None
-    table = settings.robot and settings.robot.table
+    table = None if settings.robot is None else settings.robot.table
     # nobody has named them: those of an earlier run are replaced
     own = set() if args.output else {path for path in (*files.values(), chain)
                                      if is_made_here(path)}
@@ -138,7 +145,8 @@ def _camera_files(args: argparse.Namespace, cameras: dict[Path, str], chain: Pat
     return written
 
 
-def _accounts(args: argparse.Namespace, result, reading, text: str, seed: int) -> list[Path]:
+def _accounts(args: argparse.Namespace, result: RigCalibration | NotCalibrated,
+              reading: RigReading, text: str, seed: int) -> list[Path]:
     """Write what tells of the result, or why there is none: the page and the JSON."""
     from selfcal_ros.report.rig_files import rig_to_dict
     written: list[Path] = []
@@ -157,7 +165,8 @@ def _accounts(args: argparse.Namespace, result, reading, text: str, seed: int) -
     return written
 
 
-def _mount_of_first(args: argparse.Namespace, result, left_out: list[LeftOut]) -> list[Path]:
+def _mount_of_first(args: argparse.Namespace, result: RigCalibration, left_out: list[LeftOut],
+                    ) -> list[Path]:
     """Write where the first camera sits on the robot, if it is asked for and known."""
     from selfcal_ros.cli.outputs import write_mount, written_or_left_out
     if args.mount_output is None:

@@ -56,7 +56,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
                             'is known to a centimetre, roll=0 exactly; may be repeated')
 
 
-def add_mount_outputs(group) -> None:
+def add_mount_outputs(group: argparse._ActionsContainer) -> None:
     """Add the files of the mount to the outputs of `selfcal calibrate`."""
     group.add_argument('--mount-output', type=Path, metavar='FILE',
                        help='where the camera is on the robot: .urdf (a joint), .yaml '

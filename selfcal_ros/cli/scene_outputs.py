@@ -16,13 +16,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.facts import FREE
 from selfcal_ros.cli.force import make_folder
 from selfcal_ros.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import Calibration
+    from selfcal_ros.report.open_frames import OpenFrames
+    from selfcal_ros.report.scene_files.exported_scene import ExportedScene
+    from selfcal_ros.report.scene_files.keyframe_files import KeyframeFiles
+    from selfcal_ros.values.tracks import Tracks
 
 #: Outputs that need depth, by option.
 OF_STRUCTURE = ('ply', 'colmap', 'transforms')
@@ -30,7 +38,7 @@ OF_STRUCTURE = ('ply', 'colmap', 'transforms')
 SPARSE_POINTS = 'sparse_pc.ply'
 
 
-def add_scene_arguments(group) -> None:
+def add_scene_arguments(group: argparse._ActionsContainer) -> None:
     """Add the options of path and structure."""
     group.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
                        help='the points of the scene with their colours, and the cameras; the '
@@ -135,8 +143,9 @@ class SceneOutputs:
                 raise InputError(f'{folder} holds images already, such as {taken.name}; choose '
                                  'another folder, or replace them with --force.')
 
-    def write(self, result, source: str, tracks, open_frames: Callable | None,
-              stamps_ns: Mapping[int, int] | None) -> tuple[list[Path], list[str]]:
+    def write(self, result: Calibration, source: str, tracks: Tracks,
+              open_frames: OpenFrames | None, stamps_ns: Mapping[int, int] | None,
+              ) -> tuple[list[Path], list[str]]:
         """
         Write what a calibration has.
 
@@ -177,7 +186,9 @@ class SceneOutputs:
                                                stamps_ns)
         return written + more, left_out
 
-    def _write_structure(self, asked, result, about, tracks, open_frames, stamps_ns):
+    def _write_structure(self, asked: Iterable[str], result: Calibration, about: str,
+                         tracks: Tracks, open_frames: OpenFrames | None,
+                         stamps_ns: Mapping[int, int] | None) -> tuple[list[Path], list[str]]:
         """Gather the scene once, and write it in every way that is asked for."""
         from selfcal_ros.report.scene_files.exported_scene import exported_scene
         from selfcal_ros.report.scene_files.keyframe_files import (frame_name, KeyframeFiles,
@@ -204,7 +215,8 @@ def _is_photographs(source: str | Path | None) -> bool:
     return source is not None and Path(source).is_dir() and not is_bag_folder(Path(source))
 
 
-def _write_ply(path: Path, scene, images, about: str, _) -> list[Path]:
+def _write_ply(path: Path, scene: ExportedScene, images: KeyframeFiles, about: str, _: object,
+               ) -> list[Path]:
     from selfcal_ros.report.ply import camera_frusta, write_ply
     frusta = camera_frusta(scene.camera, scene.path.rotation, scene.path.centre,
                            scene.path.metres_a_step or 1.0)
@@ -215,13 +227,15 @@ def _write_ply(path: Path, scene, images, about: str, _) -> list[Path]:
         tracks=scene.tracks, sigma=scene.sigma, frusta=frusta)]
 
 
-def _write_colmap(folder: Path, scene, images, about: str, _) -> list[Path]:
+def _write_colmap(folder: Path, scene: ExportedScene, images: KeyframeFiles, about: str, _: object,
+                  ) -> list[Path]:
     from selfcal_ros.report.scene_files.colmap_model import write_colmap
     write_colmap(folder, scene, images.names, images.colours, _comments(scene, about))
     return [folder]
 
 
-def _write_transforms(path: Path, scene, images, about: str, stamps_ns) -> list[Path]:
+def _write_transforms(path: Path, scene: ExportedScene, images: KeyframeFiles, about: str,
+                      stamps_ns: Mapping[int, int] | None) -> list[Path]:
     from selfcal_ros.report.ply import write_ply
     from selfcal_ros.report.scene_files.transforms_json import write_transforms
     from selfcal_ros.report.scene_files.keyframe_files import FOLDER
@@ -235,7 +249,7 @@ def _write_transforms(path: Path, scene, images, about: str, stamps_ns) -> list[
 _WRITERS = {'ply': _write_ply, 'colmap': _write_colmap, 'transforms': _write_transforms}
 
 
-def _comments(scene, about: str) -> list[str]:
+def _comments(scene: ExportedScene, about: str) -> list[str]:
     """Say what the numbers of a file are."""
     from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
     return [about, f'unit: {unit_in_words(scene.path)}', f'axes: {world_in_words(scene.path)}']

@@ -16,10 +16,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
+#: Courses of stages: the name of each, and what it costs.
+Courses: TypeAlias = tuple[tuple[tuple[str, float | None], ...], ...]
 #: Stages of a calibration, by the kind of its input, with what each costs: in images of the first
 #: stage, as measured on the recordings of `bags/`. None: as many as the stage counts.
-CALIBRATION: tuple[tuple[tuple[str, float | None], ...], ...] = (
+CALIBRATION: Courses = (
     (('tracking', None), ('estimating', 50), ('writing', 60)),
     (('features', None), ('matching', 50), ('registration', 50), ('estimating', 50),
      ('writing', 60)),
@@ -58,7 +61,7 @@ class TimeLeft:
 
     """
 
-    def __init__(self, courses: tuple[tuple[tuple[str, float | None], ...], ...] = ()):
+    def __init__(self, courses: Courses = ()) -> None:
         self._courses = courses
         self._course: dict[str, float | None] = {}
         self._past, self._text, self._total = 0.0, '', 0.0

@@ -16,9 +16,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import check_outputs, written_line
@@ -28,6 +30,18 @@ from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.cli.track_rig import (add_rig_arguments, check_single, overlays_of, rig_of,
                                        track_rig_recordings)
 from selfcal_ros.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.camera import Camera
+    from selfcal_ros.pipeline.excerpt import Excerpt
+    from selfcal_ros.pipeline.frame_source import Frame
+    from selfcal_ros.pipeline.progress import Progress
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_outcome import TrackingRun
+    from selfcal_ros.report.poses_csv import PosesTable
+    from selfcal_ros.rorapid.options import TrackerOptions
+    from selfcal_ros.rorapid.tracked_frame import TrackedFrame
+    from selfcal_ros.values.camera_rig import PlacedCamera
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +112,8 @@ def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
     from selfcal_ros.cli.progress import Progress
     from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
-    from selfcal_ros.pipeline.tracking_run import read_start, Target
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.pipeline.tracking_session import AUTO
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.overlay_video import check_video_path
@@ -119,9 +134,10 @@ def run(args: argparse.Namespace) -> int:
     names = object_names(paths)
     outputs = [args.output] if len(paths) == 1 else [
         args.output.with_name(f'{args.output.stem}_{name}{args.output.suffix}') for name in names]
+    cameras: tuple[PlacedCamera, ...] = ()
     if args.rig is None:
         check_single(args)
-        cameras, camera = (), read_known_camera(args.camera)
+        camera = read_known_camera(args.camera)
         overlays = [args.overlay] if args.overlay else []
     else:
         inputs, cameras = rig_of(args)
@@ -155,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 
 
-def tell(names, runs, written: str, quiet: bool) -> None:
+def tell(names: Sequence[str], runs: Sequence[TrackingRun], written: str, quiet: bool) -> None:
     """
     Print how it went; if quiet, only what was lost.
 
@@ -179,8 +195,12 @@ def tell(names, runs, written: str, quiet: bool) -> None:
         print(written)
 
 
-def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=(), excerpt=None, depth_topic=None, names=('',)):
+def track_recording(path: str | Path, targets: Sequence[Target], camera: Camera,
+                    options: TrackerOptions | None = None, *, topic: str | None = None,
+                    overlay: Path | None = None, seed: int = 0, progress: Progress | None = None,
+                    listeners: Iterable[Callable[[Frame, tuple[TrackedFrame, ...]], object]] = (),
+                    excerpt: Excerpt | None = None, depth_topic: str | None = None,
+                    names: Sequence[str] = ('',)) -> tuple[list[TrackingRun], list[PosesTable]]:
     """
     Track through a recording, and write the overlay where one is wished for.
 
@@ -199,7 +219,7 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
     from selfcal_ros.report.poses_csv import PosesTable
     tables = [PosesTable() for _ in targets]
 
-    def add(frame, tracked):
+    def add(frame: Frame, tracked: Sequence[TrackedFrame]) -> None:
         for table, one in zip(tables, tracked):
             table.add(frame, one)
 

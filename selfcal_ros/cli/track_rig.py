@@ -16,10 +16,24 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from selfcal_ros.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from selfcal_ros.pipeline.excerpt import Excerpt
+    from selfcal_ros.pipeline.frame_source import Frame
+    from selfcal_ros.pipeline.progress import Progress
+    from selfcal_ros.pipeline.rig_input import RigInput
+    from selfcal_ros.pipeline.tracking_loop import Target
+    from selfcal_ros.pipeline.tracking_outcome import TrackingRun
+    from selfcal_ros.report.poses_csv import PosesTable
+    from selfcal_ros.rorapid.options import TrackerOptions
+    from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
+    from selfcal_ros.values.camera_rig import PlacedCamera
 
 
 def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +53,7 @@ def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
                             'those of the file; of a camchain.yaml 0.05 0.0005)')
 
 
-def rig_of(args: argparse.Namespace):
+def rig_of(args: argparse.Namespace) -> tuple[list[RigInput], tuple[PlacedCamera, ...]]:
     """
     Read what is said of several cameras.
 
@@ -96,14 +110,20 @@ def check_single(args: argparse.Namespace) -> None:
                             'need --rig and --cameras.')
 
 
-def overlays_of(overlay: Path | None, inputs) -> list[Path]:
+def overlays_of(overlay: Path | None, inputs: Sequence[RigInput]) -> list[Path]:
     """Name the video of each camera: out.mp4 gives out_left.mp4."""
     return [] if overlay is None else [
         overlay.with_name(f'{overlay.stem}_{one.name}{overlay.suffix}') for one in inputs]
 
 
-def track_rig_recordings(inputs, cameras, targets, options=None, *, overlays=(), seed=0,
-                         progress=None, listeners=(), excerpt=None, names=('',)):
+def track_rig_recordings(inputs: Sequence[RigInput], cameras: Sequence[PlacedCamera],
+                         targets: Sequence[Target], options: TrackerOptions | None = None, *,
+                         overlays: Sequence[Path] = (), seed: int = 0,
+                         progress: Progress | None = None,
+                         listeners: Iterable[Callable[[Sequence[Frame | None], Sequence[RigFrame]],
+                                                      object]] = (),
+                         excerpt: Excerpt | None = None, names: Sequence[str] = ('',),
+                         ) -> tuple[list[TrackingRun], list[PosesTable]]:
     """
     Track through the recordings of several cameras, and write overlays where they are wished for.
 
@@ -122,7 +142,7 @@ def track_rig_recordings(inputs, cameras, targets, options=None, *, overlays=(),
     from selfcal_ros.report.poses_csv import PosesTable
     tables = [PosesTable() for _ in targets]
 
-    def add(frames, found):
+    def add(frames: Sequence[Frame | None], found: Sequence[RigFrame]) -> None:
         first = next(frame for frame in frames if frame is not None)
         for table, one in zip(tables, found):
             table.add(first, one.tracked)

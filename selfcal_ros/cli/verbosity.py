@@ -31,8 +31,8 @@ def add_verbose_argument(parser: argparse.ArgumentParser) -> None:
                         help='tell on standard error what is done; -vv tells of every image')
 
 
-def add_quiet_argument(parser, what: str = 'print nothing but errors and the reason of a failure',
-                       ) -> None:
+def add_quiet_argument(parser: argparse._ActionsContainer,
+                       what: str = 'print nothing but errors and the reason of a failure') -> None:
     """Add -q to a verb, or to a group of its arguments."""
     parser.add_argument('-q', '--quiet', action='store_true', help=what)
 

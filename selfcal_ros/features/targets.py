@@ -54,10 +54,11 @@ class PointList:
     """Points that are found elsewhere: the input must be a table of their tracks."""
 
     known: KnownObject
-    find = None
 
 
-Target = Chessboard | Charuco | AprilGrid | CirclesGrid | TsaiGrid | PointList
+#: What can be found in an image.
+Board = Chessboard | Charuco | AprilGrid | CirclesGrid | TsaiGrid
+Target = Board | PointList
 
 
 def parse_target(text: str) -> Target:

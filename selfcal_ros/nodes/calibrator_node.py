@@ -53,8 +53,8 @@ from selfcal_ros.nodes.session_settings import monitor_settings, session_setting
 from selfcal_ros.nodes.stored_camera import StoredCamera
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
-from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
-                                                      Interruption)
+from selfcal_ros.pipeline.calibration_session import CalibrationSession, Interruption
+from selfcal_ros.pipeline.estimate_request import EstimateRequest
 from selfcal_ros.report.result_json import result_to_json
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String

@@ -22,7 +22,8 @@ from selfcal_ros.calibration.monitoring.mount_monitor import MountChange
 from selfcal_ros.calibration.mount import TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
-from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
+from selfcal_ros.pipeline.calibration_session import CalibrationSession
+from selfcal_ros.pipeline.estimate_request import EstimateRequest
 from selfcal_ros.pipeline.monitoring import AskRobot, Monitoring, MonitoringSnapshot, ScoreRequest
 
 ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'

@@ -23,7 +23,8 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import STEADY
 from selfcal_ros.nodes.tf_messages import transform_type
-from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
+from selfcal_ros.pipeline.calibration_session import CalibrationSession
+from selfcal_ros.pipeline.estimate_request import EstimateRequest
 from selfcal_ros.pipeline.robot.live_robot import LiveRobot, RobotSnapshot
 from selfcal_ros.pipeline.robot.pose_checks import PoseReading
 from selfcal_ros.pipeline.robot.robot_source import RobotSource

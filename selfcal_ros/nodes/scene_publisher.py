@@ -28,7 +28,7 @@ from rclpy.serialization import serialize_message
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.nodes.quality_of_service import LATCHED
-from selfcal_ros.pipeline.calibration_session import EstimateRequest
+from selfcal_ros.pipeline.estimate_request import EstimateRequest
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 

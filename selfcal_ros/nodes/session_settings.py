@@ -19,7 +19,7 @@ from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.geometry.camera_facts import CameraFacts, FocalChoice, ShutterChoice
 from selfcal_ros.geometry.lenses.catalogue import LensChoice
 from selfcal_ros.nodes.parameters import CalibratorParameters
-from selfcal_ros.pipeline.calibration_session import SessionSettings
+from selfcal_ros.pipeline.estimate_request import SessionSettings
 
 
 def session_settings(parameters: CalibratorParameters) -> SessionSettings:

@@ -26,7 +26,8 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 import sqlite3
-from typing import Any
+from types import ModuleType
+from typing import Any, IO
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.values.foreign_files import load_foreign_yaml, read_limited
@@ -65,9 +66,9 @@ def bound_rosbags() -> None:
     setattr(ros2, 'selfcal_ros_bounded', True)
 
 
-def _bounded_open(inner: Callable) -> Callable:
+def _bounded_open(inner: Callable[[Any], object]) -> Callable[[Any], None]:
     """Wrap the opening of a file, also of one that was decompressed to a temporary folder."""
-    def opened(storage) -> None:
+    def opened(storage: Any) -> None:
         if storage.path.suffix == '.db3':
             check_tables(Path(storage.path))
         inner(storage)
@@ -79,11 +80,11 @@ def _bounded_open(inner: Callable) -> Callable:
     return opened
 
 
-def _no_qos(*_: Any) -> list:
+def _no_qos(*_: Any) -> list[Any]:
     return []
 
 
-def _read_exact(stream, size: int) -> bytes:
+def _read_exact(stream: IO[bytes], size: int) -> bytes:
     """Read so many bytes, which may not be more than a chunk may have."""
     from rosbags.rosbag2.errors import ReaderError
     if size > MAX_CHUNK_BYTES:
@@ -94,7 +95,7 @@ def _read_exact(stream, size: int) -> bytes:
     return data
 
 
-def _bounded(decompressor, data: bytes, size: int | None = None) -> bytes:
+def _bounded(decompressor: Any, data: bytes, size: int | None = None) -> bytes:
     """Decompress at most so many bytes, where it is not known as many as may be."""
     size = MAX_CHUNK_BYTES if size is None else size
     if size > MAX_CHUNK_BYTES:
@@ -118,12 +119,13 @@ def _zstd(data: bytes, size: int | None = None) -> bytes:
     return _bounded(_zstd_module().ZstdDecompressor(), data, size)
 
 
-def _zstd_module():
+def _zstd_module() -> ModuleType:
     try:
         from compression import zstd
     except ImportError:
         from backports import zstd
-    return zstd
+    module: ModuleType = zstd
+    return module
 
 
 class _BoundedZstd:
@@ -135,7 +137,7 @@ class _BoundedZstd:
         return _zstd(data)
 
     @staticmethod
-    def open(stream, mode: str = 'rb'):
+    def open(stream: IO[bytes], mode: str = 'rb') -> _BoundedFile:
         """Open a compressed file for reading."""
         return _BoundedFile(stream, _zstd_module().open(stream, mode))
 
@@ -143,7 +145,7 @@ class _BoundedZstd:
 class _BoundedFile:
     """A file that is decompressed, not to a hundred times what it is."""
 
-    def __init__(self, stream, inner):
+    def __init__(self, stream: IO[bytes], inner: IO[bytes]) -> None:
         at = stream.tell()
         self._left = MAX_CHUNK_BYTES + MAX_FILE_RATIO * stream.seek(0, 2)
         stream.seek(at)
@@ -152,7 +154,7 @@ class _BoundedFile:
     def __enter__(self) -> _BoundedFile:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._inner.close()
 
     def read(self, size: int = -1) -> bytes:
@@ -164,7 +166,7 @@ class _BoundedFile:
         return data
 
 
-def bound_storage(storage) -> None:
+def bound_storage(storage: Any) -> None:
     """
     Bound what an open file gives at once.
 

@@ -39,7 +39,7 @@ _ENOUGH = 0.9
 
 
 @contextmanager
-def readable(path):
+def readable(path: str | Path) -> Iterator[None]:
     """
     Turn whatever a damaged bag makes rosbags raise into an InputError.
 
@@ -108,8 +108,9 @@ class BagSource(FrameSource):
 
     kind = 'bag'
 
-    def __init__(self, path, topic=None, image_size=None, colour=False,
-                 excerpt: Excerpt = Excerpt()):
+    def __init__(self, path: str | Path, topic: str | None = None,
+                 image_size: tuple[int, int] | None = None, colour: bool = False,
+                 excerpt: Excerpt = Excerpt()) -> None:
         """Open the bag and choose the topic."""
         super().__init__(path, image_size, colour, excerpt)
         self._reader: Any = None
@@ -133,7 +134,7 @@ class BagSource(FrameSource):
             self.close()
             raise
 
-    def _choose(self, topic: str | None) -> list:
+    def _choose(self, topic: str | None) -> list[Any]:
         """Return the connections of the topic."""
         connections = list(self._reader.connections)
         images = [c for c in connections if c.msgtype in IMAGE_TYPES]
@@ -260,7 +261,7 @@ class BagSource(FrameSource):
                 reader.close()
 
 
-def image_topics(path) -> list[str]:
+def image_topics(path: str | Path) -> list[str]:
     """
     List the image topics of a bag that hold messages, raw rather than compressed ones.
 
@@ -311,12 +312,12 @@ class OpenBag:
 
     """
 
-    def __init__(self, path: Path, reader, deserialize: Callable) -> None:
+    def __init__(self, path: Path, reader: Any, deserialize: Callable[[Any, str], Any]) -> None:
         """Keep what reads."""
         self._path, self._reader, self._deserialize = path, reader, deserialize
         self.connections = list(reader.connections)
 
-    def messages(self, connections: list) -> Iterator[tuple[Any, Any]]:
+    def messages(self, connections: list[Any]) -> Iterator[tuple[Any, Any]]:
         """Yield connection and message in the order of recording."""
         with readable(self._path):
             for connection, _, data in self._reader.messages(connections):
@@ -344,7 +345,7 @@ def open_bag(path: str | Path) -> Iterator[OpenBag]:
         reader.close()
 
 
-def _opened(path: Path) -> tuple:
+def _opened(path: Path) -> tuple[Any, Callable[[Any, str], Any]]:
     """Return an open reader of rosbags, and what turns its data into messages."""
     from rosbags.typesys import Stores, get_typestore
     bound_rosbags()
@@ -362,7 +363,7 @@ def _opened(path: Path) -> tuple:
     return reader, deserialize
 
 
-def _shortened(names: list, limit: int = 12) -> str:
+def _shortened(names: list[str], limit: int = 12) -> str:
     """List names, not too many."""
     more = f' and {len(names) - limit} more' if len(names) > limit else ''
     return ', '.join(names[:limit]) + more

@@ -36,7 +36,7 @@ _STORAGES = ('mcap', 'sqlite3')
 _TOPIC = re.compile(r'^(/[A-Za-z_][A-Za-z0-9_]*)+$')
 
 
-def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_raw',
+def write_image_bag(path: str | Path, frames: Iterable[Frame], topic: str = '/camera/image_raw',
                     storage: str = 'mcap', compressed: str | None = None,
                     frame_id: str = 'camera_optical_frame') -> int:
     """

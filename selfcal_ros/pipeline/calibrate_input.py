@@ -34,6 +34,7 @@ from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.freed_memory import return_freed_memory
 from selfcal_ros.pipeline.long_policy import LongRecordings
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 
 _LOGGER = logging.getLogger(__name__)
@@ -95,7 +96,8 @@ class CalibrationSettings:
     parallel_objects: tuple[int, ...] | None = None
 
 
-def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
+def calibrate_input(path: str | Path, settings: CalibrationSettings,
+                    progress: Progress | None = None,
                     ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Read an input of any kind that `open_source` knows, and calibrate from it.
@@ -131,7 +133,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     return robot.mounted(result, reading, progress) if result else result, reading
 
 
-def _check_facts(path, settings: CalibrationSettings) -> tuple[Finding, ...]:
+def _check_facts(path: str | Path, settings: CalibrationSettings) -> tuple[Finding, ...]:
     """Refuse facts and frames that these images cannot have; tell of odd ones."""
     facts, named = settings.facts, settings.translation_frames
     if (facts.principal_point is None and not facts.skew and facts.line_delay_s is None
@@ -155,7 +157,7 @@ def _check_facts(path, settings: CalibrationSettings) -> tuple[Finding, ...]:
                    height=size[1]),
 
 
-def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
+def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progress | None,
                 ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """Calibrate from the images alone; see `calibrate_input`."""
     shared: dict[str, Any] = {
@@ -205,7 +207,7 @@ def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
         rng=generator(settings.seed)), reading), reading
 
 
-def _tell(progress: Callable | None) -> None:
+def _tell(progress: Progress | None) -> None:
     """Tell that the estimate begins, which cannot know how far it is."""
     # the images are gone
     return_freed_memory()

@@ -94,16 +94,16 @@ class CalibrationSession:
 
     """
 
-    def __init__(self, settings: SessionSettings = SessionSettings()):
+    def __init__(self, settings: SessionSettings = SessionSettings()) -> None:
         self.settings = settings
         self._generation = 0
         self._clear()
 
-    def _clear(self):
+    def _clear(self) -> None:
         self._section = 0
         self._begin_section()
-        self._image_size = None
-        self._newest_ns = None
+        self._image_size: tuple[int, int] | None = None
+        self._newest_ns: int | None = None
         self._frames = 0
         self._estimates = 0
         self._state = EstimateState.IDLE
@@ -115,7 +115,7 @@ class CalibrationSession:
         self._start: Calibration | None = None
         self._failure: NotCalibrated | None = None
 
-    def _begin_section(self):
+    def _begin_section(self) -> None:
         """Forget the keyframes: what comes shares no tracks with them."""
         self._keyframes: list[Keyframe] = []
         self._film = Film()
@@ -191,7 +191,7 @@ class CalibrationSession:
 
         """
         interruption = self.expect(stamp_ns, image_size)
-        if stamp_ns < self._newest_ns:
+        if self._newest_ns is not None and stamp_ns < self._newest_ns:
             return None
         self._frames += 1
         ids = np.asarray(ids, dtype=np.int64).ravel()
@@ -263,9 +263,10 @@ class CalibrationSession:
 
     @property
     def _parallax_px(self) -> float:
+        assert self._image_size is not None
         return self.settings.parallax * float(np.hypot(*self._image_size))
 
-    def _thin_out(self):
+    def _thin_out(self) -> None:
         """
         Drop the keyframes that are too many, first the one that is missed least.
 
@@ -277,9 +278,9 @@ class CalibrationSession:
         if len(frames) <= most:
             return
 
-        def shared_around(middle):
-            return np.intersect1d(frames[middle - 1].ids, frames[middle + 1].ids,
-                                  assume_unique=True).size
+        def shared_around(middle: int) -> int:
+            return int(np.intersect1d(frames[middle - 1].ids, frames[middle + 1].ids,
+                                      assume_unique=True).size)
 
         # of the neighbours of all but the first and the last
         shared = [shared_around(middle) for middle in range(1, len(frames) - 1)]
@@ -418,7 +419,7 @@ def imprecision_px(calibration: Calibration) -> float:
     """Largest sigma, in pixels, that focal length and principal point leave in the image."""
     camera, sigma = calibration.camera, calibration.sigma
     edge = sigma['fx'] / camera.K[0, 0] * float(np.hypot(camera.width, camera.height)) / 2
-    return max(edge, sigma['cx'], sigma['cy'])
+    return float(max(edge, sigma['cx'], sigma['cy']))
 
 
 def _is_precise(calibration: Calibration) -> bool:

@@ -40,7 +40,7 @@ _SET_PARENT_DEATH_SIGNAL = 1
 
 def start_module(module: str, arguments: Iterable[str] = (),
                  environment: Mapping[str, str] | None = None,
-                 stderr: int | None = None) -> subprocess.Popen:
+                 stderr: int | None = None) -> subprocess.Popen[bytes]:
     """
     Start `python -m module`.
 
@@ -63,7 +63,7 @@ def start_module(module: str, arguments: Iterable[str] = (),
                             env=environment, stderr=stderr, start_new_session=True)
 
 
-def end_processes(processes: Iterable[subprocess.Popen], grace_s: float = GRACE_S) -> None:
+def end_processes(processes: Iterable[subprocess.Popen[bytes]], grace_s: float = GRACE_S) -> None:
     """
     End processes together, gently at first.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from msg_adapters.image import depth_metres
 from msg_adapters.stamps import stamp_ns
@@ -43,7 +44,7 @@ class DepthTopic:
 
     """
 
-    def __init__(self, messages: Iterator):
+    def __init__(self, messages: Iterator[tuple[Any, Any]]) -> None:
         """Read on as stamps are asked for."""
         self._messages = messages
         self._kept: list[tuple[int, object]] = []

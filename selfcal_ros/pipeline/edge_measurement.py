@@ -22,6 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.known_object.edge_calibration import EdgeViews
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 
 #: Control points that are measured on each line and each circle of a view.
@@ -44,7 +45,7 @@ class PosedImage:
     translation: np.ndarray
 
 
-def measure_edges(fine: VisibleModel, camera: Camera, views: list,
+def measure_edges(fine: VisibleModel, camera: Camera, views: list[PosedImage],
                   reach: int) -> EdgeViews | None:
     """Measure the edges of all views around the model; None where there are none."""
     measured = [(view, found) for view in views
@@ -59,7 +60,8 @@ def measure_edges(fine: VisibleModel, camera: Camera, views: list,
                      (camera.width, camera.height))
 
 
-def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int):
+def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int,
+             ) -> tuple[np.ndarray, ...] | None:
     """Look for the edges of one image; returns the columns of `EdgeViews`, or None."""
     laid = _lay_out(fine, camera, view)
     if laid is None:
@@ -78,7 +80,8 @@ def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int):
             points.tangents[index], pixels[found] + normal[found] * offset[found, None])
 
 
-def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage):
+def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
+             ) -> tuple[ControlPoints, np.ndarray, np.ndarray, np.ndarray] | None:
     """Project the control points: them, which are usable, pixels and normals (or None)."""
     points = fine.control_points(view.rotation, view.translation)
     kind = np.array(points.kind)[points.primitive]
@@ -104,7 +107,7 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage):
     return points, index[inside], pixels[inside], normal[inside]
 
 
-def edge_misfit(fine: VisibleModel, camera: Camera, views: list) -> float:
+def edge_misfit(fine: VisibleModel, camera: Camera, views: list[PosedImage]) -> float:
     """Mean square distance of the edges from the model, none counting more than 3 px."""
     total, count = 0.0, 0
     for view in views:

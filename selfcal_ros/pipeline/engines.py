@@ -36,10 +36,18 @@ import signal
 import tempfile
 import threading
 import time
+from typing import Any, TYPE_CHECKING, TypedDict, TypeVar
 
 from selfcal_ros.errors import ArgumentError, InputError
 
+if TYPE_CHECKING:
+    from dask.distributed import Client, Future as DaskFuture
+
 ENGINES = ('processes', 'dask')
+#: What a job is.
+Job = TypeVar('Job')
+#: What it gives.
+Value = TypeVar('Value')
 #: What NumPy's libraries read when they load.
 _THREAD_LIMITS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS',
                   'VECLIB_MAXIMUM_THREADS', 'NUMEXPR_NUM_THREADS')
@@ -56,6 +64,14 @@ CONNECT_S, FIRST_WORKER_S = 10.0, 10.0
 CRASHED = 'its process died, as for want of memory or from a file that crashes a decoder.'
 
 
+class EngineOptions(TypedDict, total=False):
+    """How jobs are run; see `run_jobs`."""
+
+    engine: str
+    workers: int | None
+    scheduler: str | None
+
+
 def core_count() -> int:
     """Count the cores that this process may use."""
     if hasattr(os, 'sched_getaffinity'):
@@ -63,8 +79,9 @@ def core_count() -> int:
     return os.cpu_count() or 1
 
 
-def run_jobs(function: Callable, jobs: list, *, engine: str = 'processes',
-             workers: int | None = None, scheduler: str | None = None) -> Iterator[tuple]:
+def run_jobs(function: Callable[[Job], Value], jobs: list[Job], *, engine: str = 'processes',
+             workers: int | None = None, scheduler: str | None = None,
+             ) -> Iterator[tuple[int, Value | BaseException | None]]:
     """
     Run a function over jobs, and yield the results as they come.
 
@@ -136,7 +153,7 @@ def _one_thread() -> None:
 
 
 @contextmanager
-def _thread_limits():
+def _thread_limits() -> Iterator[None]:
     """Let processes that start meanwhile inherit an environment of one thread."""
     before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, '1'))
@@ -172,14 +189,15 @@ def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _in_processes(function, jobs, workers) -> Iterator[tuple]:
+def _in_processes(function: Callable[[Job], Value], jobs: list[Job], workers: int,
+                  ) -> Iterator[tuple[int, Value | BaseException | None]]:
     """Run in a pool; after a crash those that were running run again, each alone."""
     waiting = deque(range(len(jobs)))
     suspects: deque[int] = deque()
     while waiting or suspects:
         alone = bool(suspects)
         queue = deque([suspects.popleft()]) if alone else waiting
-        running: dict[Future, int] = {}
+        running: dict[Future[Value], int] = {}
         try:
             with _process_pool(1 if alone else workers) as pool:
                 yield from _ended(pool, function, jobs, queue, running, workers)
@@ -190,8 +208,9 @@ def _in_processes(function, jobs, workers) -> Iterator[tuple]:
                 suspects.extend(running.values())
 
 
-def _ended(pool: ProcessPoolExecutor, function, jobs, queue: deque[int],
-           running: dict[Future, int], workers: int) -> Iterator[tuple]:
+def _ended(pool: ProcessPoolExecutor, function: Callable[[Job], Value], jobs: list[Job],
+           queue: deque[int], running: dict[Future[Value], int], workers: int,
+           ) -> Iterator[tuple[int, Value | BaseException]]:
     """
     Yield number and result, or exception, of each job of a queue as it ends.
 
@@ -209,7 +228,8 @@ def _ended(pool: ProcessPoolExecutor, function, jobs, queue: deque[int],
             yield running.pop(future), failure or future.result()
 
 
-def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
+def _on_dask(function: Callable[[Job], Value], jobs: list[Job], workers: int,
+             scheduler: str | None) -> Iterator[tuple[int, Value | BaseException | None]]:
     """Run on a cluster; jobs whose worker died run again, each alone."""
     try:
         import dask
@@ -254,7 +274,7 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
                 yield number, None if isinstance(value, KilledWorker) else value
 
 
-def _connected(make_client, scheduler: str):
+def _connected(make_client: Callable[..., Client], scheduler: str) -> Client:
     """Connect to a scheduler that has workers."""
     try:
         client = make_client(scheduler, timeout=CONNECT_S)
@@ -270,14 +290,15 @@ def _connected(make_client, scheduler: str):
     return client
 
 
-def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
+def _arriving(client: Client, futures: list[DaskFuture], scheduler: str | None,
+              ) -> Iterator[tuple[str, Any]]:
     """Yield key, and value or exception, of each job that ends, while there is who runs it."""
     from dask.distributed import as_completed, CancelledError
     name = scheduler or 'of this machine'
     # not with their results: as_completed forgets a job that had ended, whose worker died before
     # the result was fetched, and which then fails when it runs again
     ending = as_completed(futures)
-    ended: list = []
+    ended: list[DaskFuture] = []
     looked = seen = time.monotonic()
     while ended or not ending.is_empty():
         while ending.has_ready():
@@ -310,7 +331,7 @@ def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
                                  'finished before is there.')
 
 
-def _run_with_one_thread(function, job):
+def _run_with_one_thread(function: Callable[[Job], Value], job: Job) -> Value:
     """Run a job on a worker, which may have been started anew since it was prepared."""
     _one_thread()
     return function(job)

@@ -67,7 +67,7 @@ class SessionSettings:
     growth: float = 0.2
     min_common: int = 60
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible values."""
         if not 0 < self.parallax < 1:
             raise ArgumentError('The keyframe parallax is a share of the image diagonal between '
@@ -142,7 +142,8 @@ class EstimateRequest:
         """Return the request with poses of the robot."""
         return replace(self, robot=robot)
 
-    def run(self, calibrate: Callable | None = None) -> Calibration | NotCalibrated:
+    def run(self, calibrate: Callable[..., Calibration | NotCalibrated] | None = None,
+            ) -> Calibration | NotCalibrated:
         """
         Estimate; takes up to seconds, for a worker thread.
 

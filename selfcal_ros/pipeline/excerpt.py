@@ -51,7 +51,7 @@ class Excerpt:
     duration_s: float | None = None
     every: int = 1
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible numbers."""
         if not (math.isfinite(self.start_s) and self.start_s >= 0):
             raise ArgumentError(f'The start must be zero or more seconds, not {self.start_s:g}.')
@@ -105,7 +105,7 @@ class Reading:
 
     """
 
-    def __init__(self, excerpt: Excerpt, wanted: Container[int] | None = None):
+    def __init__(self, excerpt: Excerpt, wanted: Container[int] | None = None) -> None:
         """Start before the first image."""
         self._excerpt, self._wanted = excerpt, wanted
         self._last = max(wanted, default=-1) if isinstance(wanted, set) else None

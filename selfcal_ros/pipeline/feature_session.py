@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -26,6 +26,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.frame_source import ClockName, OWN_CLOCKS
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -140,7 +141,7 @@ def _keyframes(tracks: Tracks, most: int) -> np.ndarray:
 
 def read_tracks(path: str | Path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
-                progress: Callable | None = None,
+                progress: Progress | None = None,
                 mask: ImageMask | None = None, excerpt: Excerpt = Excerpt(),
                 seed: int = 0) -> ExtractedTracks:
     """
@@ -181,7 +182,7 @@ def read_tracks(path: str | Path, topic: str | None = None, mode: str = 'auto',
 
 
 def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
-              progress: Callable | None, mask: ImageMask | None, seed: int) -> ExtractedTracks:
+              progress: Progress | None, mask: ImageMask | None, seed: int) -> ExtractedTracks:
     """Find point tracks in an input that is open; see `read_tracks`."""
     if source.kind == 'tracks':
         return tracks_of_table(source, mask, max_keyframes)
@@ -189,14 +190,15 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
     from selfcal_ros.features.extraction import extract_tracks
     total = source.count
 
-    def report(text, done):
+    def report(text: str, done: float) -> None:
         # matching reports a share, reading a number of frames
+        assert progress is not None
         progress(text, done, 1.0 if isinstance(done, float) else total)
 
     limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
     images = 0
 
-    def frames():
+    def frames() -> Iterator[tuple[int, np.ndarray, int]]:
         nonlocal images
         for frame in source:
             images += 1

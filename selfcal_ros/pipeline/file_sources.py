@@ -19,6 +19,7 @@ from collections.abc import Iterator
 import csv
 import itertools
 import os
+from pathlib import Path
 import re
 
 import cv2
@@ -41,7 +42,7 @@ MAX_VIDEO_PIXELS = 2 ** 26
 NOMINAL_RATE_HZ = 30
 
 
-def natural_key(name: str) -> list:
+def natural_key(name: str) -> list[tuple[int, int, str]]:
     """Return a key that sorts frame2 before frame10."""
     return [(0, int(part), '') if part.isdecimal() else (1, 0, part)
             for part in re.split(r'(\d+)', name.lower()) if part]
@@ -71,7 +72,8 @@ class ImageFolderSource(FrameSource):
     kind = 'images'
     clock = 'nominal'
 
-    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
+    def __init__(self, path: str | Path, image_size: tuple[int, int] | None = None,
+                 colour: bool = False, excerpt: Excerpt = Excerpt()) -> None:
         """List the folder."""
         super().__init__(path, image_size, colour, excerpt)
         try:
@@ -98,7 +100,7 @@ class ImageFolderSource(FrameSource):
         """File names of all images, in the order of their frames."""
         return [file.name for file in self._files]
 
-    def _nothing_here(self, entries) -> str:
+    def _nothing_here(self, entries: list[Path]) -> str:
         """Say what the folder holds instead of images."""
         if not entries:
             return f'The folder {self.path} is empty; give one that holds images or a bag.'
@@ -146,7 +148,8 @@ class VideoSource(FrameSource):
     kind = 'video'
     clock: ClockName = 'video'
 
-    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
+    def __init__(self, path: str | Path, image_size: tuple[int, int] | None = None,
+                 colour: bool = False, excerpt: Excerpt = Excerpt()) -> None:
         """Open the video and decode its first frame."""
         super().__init__(path, image_size, colour, excerpt)
         capture = self._open()
@@ -171,7 +174,7 @@ class VideoSource(FrameSource):
             raise InputError(f'{self.path} opens as a video, but no frame can be decoded; it is '
                              'damaged or uses a codec that this OpenCV lacks.')
 
-    def _open(self):
+    def _open(self) -> cv2.VideoCapture:
         """Return an opened cv2.VideoCapture."""
         if not self.path.stat().st_size:
             raise InputError(f'{self.path} is empty (0 bytes); give another file.')
@@ -235,7 +238,7 @@ class TracksSource(FrameSource):
 
     kind = 'tracks'
 
-    def __init__(self, path, image_size=None):
+    def __init__(self, path: str | Path, image_size: tuple[int, int] | None = None) -> None:
         """Read the file."""
         super().__init__(path, image_size)
         try:

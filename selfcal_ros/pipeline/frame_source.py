@@ -69,7 +69,7 @@ class Frame:
 class _Pairs:
     """The first two of every `stride` image numbers, for `FrameSource.pairs`."""
 
-    def __init__(self, stride: int):
+    def __init__(self, stride: int) -> None:
         self._stride = stride
 
     def __contains__(self, index: object) -> bool:
@@ -147,7 +147,7 @@ class FrameSource(ABC):
         """Return the source itself."""
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the source."""
         self.close()
 

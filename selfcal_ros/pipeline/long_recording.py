@@ -21,7 +21,7 @@ image by image and calibrated each. Their calibrations are combined by their inf
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 import itertools
 import logging
@@ -42,7 +42,8 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.feature_session import ExtractedTracks, generator
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.long_policy import LongRecordings
-from selfcal_ros.pipeline.sources import FrameSource
+from selfcal_ros.pipeline.progress import Progress
+from selfcal_ros.pipeline.sources import Frame, FrameSource
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import SOFTWARE
 
@@ -114,7 +115,7 @@ class LongReading(ExtractedTracks):
 
 
 def calibrate_long(source: FrameSource, settings: CalibrationSettings, policy: LongRecordings,
-                   mask: ImageMask | None = None, progress: Callable | None = None,
+                   mask: ImageMask | None = None, progress: Progress | None = None,
                    ) -> tuple[Calibration | NotCalibrated, LongReading] | None:
     """
     Calibrate from the segments of a long recording that say most.
@@ -164,8 +165,8 @@ def calibrate_long(source: FrameSource, settings: CalibrationSettings, policy: L
     return _together(source, settings, followed, found, glances)
 
 
-def _look_through(source: FrameSource, policy: LongRecordings, mask, progress,
-                  ) -> Iterator[Glance]:
+def _look_through(source: FrameSource, policy: LongRecordings, mask: ImageMask | None,
+                  progress: Progress | None) -> Iterator[Glance]:
     """Compare pairs of neighbours; where little moved between them, the beginnings of two."""
     stride = max((source.count or 0) // policy.glances, 2)
     total = (source.count or 0) // stride
@@ -185,7 +186,7 @@ def _look_through(source: FrameSource, policy: LongRecordings, mask, progress,
         yield seen
 
 
-def _in_pairs(frames) -> Iterator[tuple]:
+def _in_pairs(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame]]:
     """Put neighbours together; an excerpt may begin between two."""
     before = None
     for frame in frames:
@@ -196,7 +197,8 @@ def _in_pairs(frames) -> Iterator[tuple]:
             before = frame
 
 
-def _refused(source, settings, glances) -> tuple[NotCalibrated, LongReading]:
+def _refused(source: FrameSource, settings: CalibrationSettings, glances: list[Glance],
+             ) -> tuple[NotCalibrated, LongReading]:
     """Say that nothing ever moved."""
     refusal = NotCalibrated.of(NoEstimate('no_motion'), facts=settings.facts,
                                software=SOFTWARE)
@@ -205,7 +207,8 @@ def _refused(source, settings, glances) -> tuple[NotCalibrated, LongReading]:
                                 Survey(tuple(glances), (), source.began_ns))
 
 
-def _followed(source: FrameSource, settings, segments: list[Segment], mask, progress,
+def _followed(source: FrameSource, settings: CalibrationSettings, segments: list[Segment],
+              mask: ImageMask | None, progress: Progress | None,
               ) -> Iterator[tuple[Segment, Extraction]]:
     """Follow the segments image by image, in the order of the recording."""
     in_order = sorted(segments, key=lambda one: one.first)
@@ -216,7 +219,7 @@ def _followed(source: FrameSource, settings, segments: list[Segment], mask, prog
     limit = {} if settings.max_keyframes is None else {'max_keyframes': settings.max_keyframes}
     before = 0
 
-    def report(text, done):
+    def report(text: str, done: float) -> None:
         if progress and text == 'tracking':
             progress('Following the segments', before + done, total)
 
@@ -228,7 +231,9 @@ def _followed(source: FrameSource, settings, segments: list[Segment], mask, prog
         before += in_order[number].images
 
 
-def _calibrated(segments, found, settings, source, progress) -> list[FollowedSegment]:
+def _calibrated(segments: list[Segment], found: dict[Segment, Extraction],
+                settings: CalibrationSettings, source: FrameSource, progress: Progress | None,
+                ) -> list[FollowedSegment]:
     """Calibrate the segments each, all but the first with the lens model of the first."""
     facts, start, done = settings.facts, None, []
     for number, segment in enumerate(segments):
@@ -250,7 +255,8 @@ def _tracks(extraction: Extraction, source: FrameSource) -> Tracks:
             else extraction.tracks)
 
 
-def _together(source, settings, followed: list[FollowedSegment], found, glances,
+def _together(source: FrameSource, settings: CalibrationSettings, followed: list[FollowedSegment],
+              found: dict[Segment, Extraction], glances: list[Glance],
               ) -> tuple[Calibration | NotCalibrated, LongReading]:
     """Combine what the segments say."""
     good = {one.segment: one.result for one in followed

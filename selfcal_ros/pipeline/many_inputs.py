@@ -20,14 +20,14 @@ the process that reads it, is a line in the table, and no more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import glob
 import logging
 import os
 from pathlib import Path
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -36,8 +36,9 @@ from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
-from selfcal_ros.pipeline.engines import CRASHED, run_jobs
+from selfcal_ros.pipeline.engines import CRASHED, EngineOptions, run_jobs
 from selfcal_ros.pipeline.file_sources import IMAGE_SUFFIXES, natural_key, VIDEO_SUFFIXES
+from selfcal_ros.pipeline.progress import Progress
 
 if TYPE_CHECKING:
     from selfcal_ros.calibration.estimators.joint import JointCalibration
@@ -92,7 +93,7 @@ class Outcome:
         return sentences(self.findings)
 
     @property
-    def camera_key(self) -> tuple:
+    def camera_key(self) -> tuple[str, tuple[int, int] | None]:
         """What tells cameras apart."""
         return self.topic, self.image_size
 
@@ -146,7 +147,7 @@ class Job:
     settings: CalibrationSettings = field(default_factory=CalibrationSettings)
 
 
-def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
+def find_recordings(inputs: Iterable[str | Path]) -> tuple[list[Path], bool]:
     """
     Find the recordings that inputs name.
 
@@ -267,9 +268,9 @@ def _sentence(path: str, error: Exception) -> str:
     return f'{place} cannot be read: {getattr(error, "strerror", None) or error}.'
 
 
-def calibrate_many(paths: list, settings: CalibrationSettings, *,
+def calibrate_many(paths: Sequence[str | Path], settings: CalibrationSettings, *,
                    each: Callable[[Outcome], None] | None = None,
-                   progress: Callable | None = None, **engine) -> Summary:
+                   progress: Progress | None = None, **engine: Unpack[EngineOptions]) -> Summary:
     """
     Calibrate many recordings, and each camera among them jointly.
 
@@ -310,7 +311,7 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
         if progress:
             progress('Calibrating', done, len(jobs))
     outcomes = [outcome for group in found for outcome in group]
-    groups: dict[tuple, list[Outcome]] = {}
+    groups: dict[tuple[str, tuple[int, int] | None], list[Outcome]] = {}
     for outcome in outcomes:
         if outcome.image_size:
             groups.setdefault(outcome.camera_key, []).append(outcome)
@@ -327,7 +328,7 @@ def _with_absolute_paths(settings: CalibrationSettings) -> CalibrationSettings:
     return replace(settings, mask=mask, known_object=known)
 
 
-def _outcomes(path: str, value) -> list[Outcome]:
+def _outcomes(path: str, value: list[Outcome] | BaseException | None) -> list[Outcome]:
     """Turn what `run_jobs` yields into outcomes, also where there is no value."""
     if isinstance(value, BaseException):
         why = ' '.join(f'{type(value).__name__}: {value}'.split())
@@ -335,8 +336,8 @@ def _outcomes(path: str, value) -> list[Outcome]:
     return value or [Outcome(path, error=f'{path}: {CRASHED}')]
 
 
-def _summarise(group: list[Outcome], settings, engine, progress,
-               findable: Callable[..., str]) -> CameraSummary:
+def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: EngineOptions,
+               progress: Progress | None, findable: Callable[..., str]) -> CameraSummary:
     """Combine the recordings of one camera; `findable` names them for those who read them."""
     if all(outcome.start_ns is not None for outcome in group):
         group = sorted(group, key=lambda outcome: outcome.start_ns or 0)

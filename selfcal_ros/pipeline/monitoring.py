@@ -33,7 +33,7 @@ from selfcal_ros.features.selection import drop_static
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.distributions import chi2_isf
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.pipeline.calibration_session import Keyframe
+from selfcal_ros.pipeline.estimate_request import Keyframe
 from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.values.tracks import Tracks
 
@@ -142,7 +142,7 @@ class Monitoring:
 
     """
 
-    def __init__(self, settings: MonitorSettings = MonitorSettings()):
+    def __init__(self, settings: MonitorSettings = MonitorSettings()) -> None:
         self.settings = settings
         self._generation = 0
         self.forget()
@@ -228,7 +228,7 @@ class Monitoring:
         return replace(request, mount=self._of_mount.mount,
                        robot=robot.between(min(stamps), max(stamps)))
 
-    def accept(self, request: ScoreRequest, score) -> CameraChange | MountChange | None:
+    def accept(self, request: ScoreRequest, score: object) -> CameraChange | MountChange | None:
         """
         Take the result of a request.
 

@@ -15,7 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +80,7 @@ class ModelRequest:
     faces: bool = True
     name: str = 'object'
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the scale and the region."""
         if self.length_m is not None and self.baseline_m is not None:
             raise ArgumentError('A length of the object and how far the camera moved both tell '
@@ -188,7 +190,8 @@ def model_recording(source: FrameSource, request: ModelRequest,
     return max(made, key=lambda one: len(one.acquired.model.lines))
 
 
-def _frames(source, images, request) -> list[Frame]:
+def _frames(source: FrameSource, images: tuple[int, int] | None, request: ModelRequest,
+            ) -> list[Frame]:
     """Read the first image, and those that may be its partner."""
     if images is not None:
         if images[0] == images[1] or min(images) < 0:
@@ -215,14 +218,14 @@ def _across(vertices: np.ndarray) -> float:
     return float(np.linalg.norm(vertices[:, None] - vertices, axis=2).max())
 
 
-def _until(source, last):
+def _until(source: FrameSource, last: int) -> Iterator[Frame]:
     for frame in source:
         yield frame
         if frame.index >= last:
             return
 
 
-def _spread(source, search: bool) -> list[Frame]:
+def _spread(source: FrameSource, search: bool) -> list[Frame]:
     """Return the first and the last image, and if a partner is searched some between them."""
     try:
         count = len(source)
@@ -273,7 +276,7 @@ def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest
         if isinstance(matched, NoEstimate):
             return matched
         names = [str(k) for k in range(len(matched.first_px))]
-        parts: dict = {'lines': matched.lines}
+        parts: dict[str, Any] = {'lines': matched.lines}
     else:
         ends = (picked.first_px, picked.second_px) if request.exact else picked.refined(
             first, second)
@@ -293,7 +296,7 @@ def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest
                          name=request.name, sigma_px=sigma, **_scale(request, bare, names))
 
 
-def _scale(request: ModelRequest, bare: AcquiredModel, names: list[str]) -> dict:
+def _scale(request: ModelRequest, bare: AcquiredModel, names: list[str]) -> dict[str, Any]:
     """Return the fact that fixes the scale."""
     if request.baseline_m is not None:
         return {'baseline_m': request.baseline_m}

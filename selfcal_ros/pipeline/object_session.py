@@ -15,21 +15,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.feature_session import ExtractedTracks, tracks_of_table
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
     from selfcal_ros.features.mask import ImageMask
-    from selfcal_ros.features.targets import Target
+    from selfcal_ros.features.targets import Board, Target
 
 #: More views add time and little accuracy.
 MAX_VIEWS = 80
@@ -40,12 +41,13 @@ THOROUGH_LOOKS = 120
 #: Names of images without the object that the result keeps at most.
 MAX_NAMES = 500
 
+#: Identities of points (N,), and where they are in the image, (N, 2).
+_Points: TypeAlias = tuple[np.ndarray, np.ndarray]
 
-def read_object_views(path, target: Target, topic: str | None = None,
-                      max_keyframes: int | None = None,
-                      image_size: tuple[int, int] | None = None,
-                      progress: Callable | None = None,
-                      mask: ImageMask | None = None,
+
+def read_object_views(path: str | Path, target: Target, topic: str | None = None,
+                      max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
+                      progress: Progress | None = None, mask: ImageMask | None = None,
                       excerpt: Excerpt = Excerpt()) -> ExtractedTracks:
     """
     Find a known object in an input of any kind that `open_source` knows.
@@ -76,7 +78,9 @@ def read_object_views(path, target: Target, topic: str | None = None,
     with open_source(path, topic, image_size, excerpt=excerpt) as source:
         if source.kind == 'tracks':
             return tracks_of_table(source, mask, max_keyframes)
-        if target.find is None:
+        # OpenCV loads here, not where the command line starts
+        from selfcal_ros.features.targets import PointList
+        if isinstance(target, PointList):
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '
                              'the number of the point.')
@@ -131,12 +135,13 @@ class _Seen:
         return findings
 
 
-def _search(source: FrameSource, target: Target, mask: ImageMask | None,
-            progress: Callable | None) -> _Seen:
+def _search(source: FrameSource, target: Board, mask: ImageMask | None,
+            progress: Progress | None) -> _Seen:
     """Look for an object in all images; of a video only views that differ are kept."""
     moving = source.kind != 'images'
     apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
-    seen, last = _Seen(), None
+    seen = _Seen()
+    last: _Points | None = None
     source.leaves_out_damaged = True
     for frame in source:
         identity, xy = _found(target, frame.image, seen.looked % apart == 0, mask)
@@ -155,7 +160,7 @@ def _search(source: FrameSource, target: Target, mask: ImageMask | None,
     return seen
 
 
-def _found(target, image, thorough: bool, mask: ImageMask | None):
+def _found(target: Board, image: np.ndarray, thorough: bool, mask: ImageMask | None) -> _Points:
     """Find the points of the object whose surroundings a mask leaves."""
     if mask is None:
         return target.find(image, thorough=thorough)
@@ -164,7 +169,7 @@ def _found(target, image, thorough: bool, mask: ImageMask | None):
     return identity[clear], xy[clear]
 
 
-def _moved(last, now, step_px: float) -> bool:
+def _moved(last: _Points | None, now: _Points, step_px: float) -> bool:
     """Tell whether the points have moved since the last view."""
     if last is None:
         return True

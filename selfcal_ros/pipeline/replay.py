@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.bag_source import BagSource, readable
@@ -37,7 +37,7 @@ class ImageRecording(BagSource):
     @property
     def message_type(self) -> str:
         """Type of the messages."""
-        return self._connections[0].msgtype
+        return str(self._connections[0].msgtype)
 
     def messages(self, start_offset_s: float = 0.0) -> Iterator[tuple[int, bytes]]:
         """
@@ -69,7 +69,7 @@ class ImageRecording(BagSource):
             for connection, log_ns, data in self._reader.messages(self._connections, start=start):
                 yield int(log_ns), bytes(to_cdr(data, connection.msgtype))
 
-    def _converter(self):
+    def _converter(self) -> Callable[[bytes, str], bytes | memoryview]:
         """Return what turns the bag's bytes into CDR."""
         if self.path.suffix != '.bag' or self.path.is_dir():
             return lambda data, _: data

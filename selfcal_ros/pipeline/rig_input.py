@@ -15,13 +15,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import reduce
 import itertools
 from pathlib import Path
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,10 +35,14 @@ from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
                                                   whole_table)
 from selfcal_ros.pipeline.frame_source import ClockName
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.rig_instants import at_instants, AtInstants
 from selfcal_ros.pipeline.simultaneous import SAME_NS
 from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
+
+if TYPE_CHECKING:
+    from selfcal_ros.features.mask import ImageMask
 
 #: Instants that are used unless somebody says how many.
 USUAL_INSTANTS = 40
@@ -152,7 +157,7 @@ def _of_bag(path: str, words: list[str]) -> list[RigInput]:
 
 def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSettings,
                         baseline: tuple[float, float] | None = None,
-                        progress: Callable | None = None,
+                        progress: Progress | None = None,
                         ) -> tuple[RigCalibration | NotCalibrated, RigReading]:
     """
     Read the images of cameras that move together, and calibrate them.
@@ -201,7 +206,7 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
 
 
 def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: CalibrationSettings,
-          progress: Callable | None) -> RigReading:
+          progress: Progress | None) -> RigReading:
     """Find the tracks of all cameras."""
     description = '; '.join(f'{one.name}: {source.description}'
                             for one, source in zip(inputs, sources))
@@ -238,7 +243,8 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                          f'instant in every other camera{": " if far else ""}{", ".join(far)}; '
                          'trigger the cameras together, or check their stamps.')
 
-    def report(text, done):
+    def report(text: str, done: float) -> None:
+        assert progress is not None
         total = 1.0 if isinstance(done, float) else len(frames)
         progress(text, done, total)
 
@@ -270,13 +276,13 @@ def _of_tables(tables: Sequence[ExtractedTracks], max_keyframes: int | None,
 
 
 def _keyframes(name: str, source: FrameSource, settings: CalibrationSettings,
-               progress: Callable | None, mask) -> dict[int, tuple[int, str]]:
+               progress: Progress | None, mask: ImageMask | None) -> dict[int, tuple[int, str]]:
     """Choose images of the first camera; stamp and name of each, by index."""
     from selfcal_ros.features.extraction import extract_tracks
     most = settings.max_keyframes or USUAL_INSTANTS
     seen: dict[int, tuple[int, str]] = {}
 
-    def frames():
+    def frames() -> Iterator[tuple[int, np.ndarray, int]]:
         for frame in source:
             seen[frame.index] = frame.stamp_ns, frame.name
             yield frame.index, frame.image, frame.stamp_ns

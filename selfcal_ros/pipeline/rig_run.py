@@ -20,6 +20,7 @@ from dataclasses import replace
 
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.instant import Instant
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.pipeline.simultaneous import simultaneous
 from selfcal_ros.pipeline.tracking_loop import (
@@ -32,7 +33,7 @@ from selfcal_ros.values.camera_rig import PlacedCamera
 
 def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
                  cameras: Sequence[PlacedCamera], options: TrackerOptions | None = None, *,
-                 seed: int = 0, progress: Callable | None = None,
+                 seed: int = 0, progress: Progress | None = None,
                  listeners: Iterable[Callable[[Sequence[Frame | None], Sequence[RigFrame]],
                                               object]] = ()) -> list[TrackingRun]:
     """
@@ -76,7 +77,7 @@ def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
     counts = [source.count for source in sources if source.count is not None]
 
     def of_frames(listener: Callable[[Sequence[Frame | None], Sequence[RigFrame]], object],
-                  ) -> Callable:
+                  ) -> Callable[[Instant, Sequence[RigFrame]], object]:
         return lambda instant, found: listener(instant.frames, found)
 
     follow_through(_instants(sources), sessions, runs, word='Instant',

@@ -28,6 +28,7 @@ from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.several_cameras.rig_tracker import check_rig_options, RigTracker
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.values.camera_rig import PlacedCamera
+from selfcal_ros.values.wireframe import WireframeModel
 
 
 class RigSession(TrackingSession):
@@ -50,8 +51,8 @@ class RigSession(TrackingSession):
 
     """
 
-    def __init__(self, model, cameras: Sequence[PlacedCamera],
-                 options: TrackerOptions | None = None, seed: int = 0):
+    def __init__(self, model: WireframeModel, cameras: Sequence[PlacedCamera],
+                 options: TrackerOptions | None = None, seed: int = 0) -> None:
         super().__init__(model, options, None, seed)
         check_rig_options(self.options)
         self._placed = tuple(cameras)

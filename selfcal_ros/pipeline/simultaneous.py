@@ -54,7 +54,7 @@ class StampGroups:
     #: After so many instants without an image nobody waits for a camera.
     _GONE = 3
 
-    def __init__(self, count: int, same_ns: int = SAME_NS):
+    def __init__(self, count: int, same_ns: int = SAME_NS) -> None:
         """Start with nothing."""
         self._count, self._same_ns = count, same_ns
         self.late = 0

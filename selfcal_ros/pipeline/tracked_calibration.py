@@ -22,8 +22,9 @@ wrong edges.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.sources import Excerpt, Frame, FrameSource, open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
@@ -100,10 +102,11 @@ class _Passage:
     stamps_ns: dict[int, int]
 
 
-def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | None, clicks=None,
+def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: CameraFacts, *,
+                             init: str | None, clicks: Sequence[float] | None = None,
                              start: Camera | None = None, topic: str | None = None,
                              max_keyframes: int | None = None, seed: int = 0,
-                             progress: Callable | None = None, excerpt: Excerpt = Excerpt(),
+                             progress: Progress | None = None, excerpt: Excerpt = Excerpt(),
                              ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Calibrate a camera from a recording in which an object of known shape can be followed.
@@ -184,7 +187,7 @@ class _Task:
     facts: CameraFacts
     most_views: int
     seed: int
-    progress: Callable | None
+    progress: Progress | None
 
     def best_passage(self, camera: Camera, pose: Pose,
                      ) -> tuple[_Passage, Calibration | NotCalibrated, EdgeViews | None]:

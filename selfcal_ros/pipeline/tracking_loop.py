@@ -26,6 +26,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.frame_source import FrameSource
 from selfcal_ros.pipeline.instant import Instant
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
@@ -73,7 +74,7 @@ def begin_sessions(sessions: Sequence[TrackingSession], targets: Sequence[Target
 
 def follow_through(instants: Iterable[Instant], sessions: Sequence[TrackingSession],
                    runs: Sequence[TrackingRun], *, word: str, count: int | None,
-                   progress: Callable | None,
+                   progress: Progress | None,
                    listeners: Iterable[Callable[[Instant, Sequence[RigFrame]], object]]) -> None:
     """
     Follow objects from instant to instant, and note how it goes.

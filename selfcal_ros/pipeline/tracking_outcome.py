@@ -56,17 +56,17 @@ class TrackingRun:
     """
 
     images: int = 0
-    by_state: dict = field(default_factory=dict)
-    stretches: list = field(default_factory=list)
-    doubts: list = field(default_factory=list)
-    remarks: list = field(default_factory=list)
+    by_state: dict[str, int] = field(default_factory=dict)
+    stretches: list[tuple[int, int, str]] = field(default_factory=list)
+    doubts: list[tuple[int, str]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     squares: float = 0.0
     edgels: int = 0
     seconds: float = 0.0
     last_state: str = ''
     description: str = ''
     distance_stated: bool = False
-    cameras: dict = field(default_factory=dict)
+    cameras: dict[str, int] = field(default_factory=dict)
 
     @property
     def rms_px(self) -> float:

@@ -28,11 +28,13 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.depth_topic import DepthTopic
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.instant import Instant
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.tracking_loop import (
     begin_sessions, check_source, follow_through, Target)
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from selfcal_ros.rorapid.tracker import TrackerOptions
 
@@ -42,7 +44,8 @@ CLICK_ERROR_FRACTION = 0.03
 RATE_HZ = 30.0
 
 
-def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def read_start(init: str | None, clicks: Sequence[float] | None, camera: Camera,
+               ) -> tuple[np.ndarray, np.ndarray]:
     """
     Read where the object is at first.
 
@@ -102,7 +105,7 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
 
 def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera,
                   options: TrackerOptions | None = None, *, seed: int = 0,
-                  progress: Callable | None = None,
+                  progress: Progress | None = None,
                   listeners: Iterable[Callable[[Frame, tuple[TrackedFrame, ...]], object]] = (),
                   depths: DepthTopic | None = None) -> list[TrackingRun]:
     """
@@ -146,7 +149,8 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
                         None if depths is None else depths.at(frame.stamp_ns))
                 for frame in source)
 
-    def of_frame(listener: Callable[[Frame, tuple[TrackedFrame, ...]], object]) -> Callable:
+    def of_frame(listener: Callable[[Frame, tuple[TrackedFrame, ...]], object],
+                 ) -> Callable[[Instant, Sequence[RigFrame]], object]:
         return lambda instant, found: listener(instant.first, tuple(
             one.tracked for one in found))
 

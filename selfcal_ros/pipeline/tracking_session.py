@@ -24,12 +24,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_tracker import RigTracker
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
@@ -64,7 +66,7 @@ class TrackingSnapshot:
     """
 
     images: int
-    by_state: dict
+    by_state: dict[str, int]
     losses: int
     resets: int
     newest: TrackedFrame | None
@@ -93,7 +95,7 @@ class TrackingSession:
     """
 
     def __init__(self, model: WireframeModel, options: TrackerOptions | None = None,
-                 camera: Camera | None = None, seed: int = 0):
+                 camera: Camera | None = None, seed: int = 0) -> None:
         self.model = model
         self.options = TrackerOptions() if options is None else options
         check_size(model, *self.options.control_points)
@@ -133,7 +135,7 @@ class TrackingSession:
             self._tracker.reset()
             self._begin(self._tracker)
 
-    def _begin(self, tracker) -> None:
+    def _begin(self, tracker: RorapidTracker | RigTracker) -> None:
         """Give a tracker the start pose."""
         if self._start is not None:
             tracker.start(*self._start, distance_sigma_m=self._distance_sigma_m)
@@ -180,7 +182,8 @@ class TrackingSession:
             self._begin(tracker)
         self._tracker, self._camera, self.options = tracker, camera, options
 
-    def start(self, rotation, translation, distance_sigma_m: float | None = None) -> None:
+    def start(self, rotation: ArrayLike, translation: ArrayLike,
+              distance_sigma_m: float | None = None) -> None:
         """
         Take a guess of the pose of the object in the camera's optical frame.
 
@@ -265,7 +268,7 @@ class TrackingSession:
             raise InputError(f'The depth image is {depth.shape[1]}x{depth.shape[0]}, the image '
                              f'{image.shape[1]}x{image.shape[0]} pixels; give depths that are '
                              'registered to it.')
-        frame = self._tracker.track(image, stamp_ns, depth)
+        frame: TrackedFrame = self._tracker.track(image, stamp_ns, depth)
         self._count(frame)
         return frame
 
@@ -325,7 +328,7 @@ def check_image(image: np.ndarray, camera: Camera) -> None:
                          f'{MINIMUM_SIDE_PX} a side are needed.')
 
 
-def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:
+def checked_pose(rotation: ArrayLike, translation: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Return a pose as arrays, its rotation made exactly orthogonal.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.board_shape import board_shape
-from selfcal_ros.report.style import Drawing, new_panel, styled
+from selfcal_ros.report.style import Drawing, figure_of, new_panel, styled
 
 #: Lines of equal height.
 _LEVELS = 9
@@ -59,4 +59,4 @@ def board_figure(result: Calibration) -> Drawing | None:
     caption = (f'The board bends by {1e3 * bend["value"]:.2g} ± {1e3 * bend["sigma"]:.1g} mm from '
                'its lowest to its highest point. The camera is estimated with it; dots are the '
                'points of the board.')
-    return Drawing('board', 'The shape of the board', caption, (axes.figure,), 'scene')
+    return Drawing('board', 'The shape of the board', caption, (figure_of(axes),), 'scene')

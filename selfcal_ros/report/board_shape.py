@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from selfcal_ros.calibration.bundle.object_bend import BEND_NAMES
 from selfcal_ros.calibration.result import Calibration
 
@@ -22,7 +24,7 @@ from selfcal_ros.calibration.result import Calibration
 SHAPES = ('board_bent', 'board_flat')
 
 
-def board_shape(result: Calibration) -> dict | None:
+def board_shape(result: Calibration) -> dict[str, Any] | None:
     """
     Return what was found of a board's shape.
 

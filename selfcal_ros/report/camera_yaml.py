@@ -24,6 +24,7 @@ from collections.abc import Iterable
 import json
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
@@ -173,7 +174,7 @@ def parse_camera_yaml(text: str, source: str = 'the text') -> tuple[Camera, str]
     return camera_from_document(ros_document(text, source), source)
 
 
-def ros_document(text: str, source: str) -> dict:
+def ros_document(text: str, source: str) -> dict[str, Any]:
     """
     Return the keys of a camera file of ROS, which are all there.
 
@@ -194,19 +195,19 @@ def ros_document(text: str, source: str) -> dict:
     return document
 
 
-def _check_keys(document: dict, source: str) -> None:
+def _check_keys(document: dict[str, Any], source: str) -> None:
     missing = [key for key in REQUIRED if key not in document]
     if missing:
         raise InputError(f'{source} lacks {", ".join(missing)}; a ROS camera file has them all.')
 
 
-def is_kalibr(document: dict) -> bool:
+def is_kalibr(document: dict[str, Any]) -> bool:
     """Tell a camera chain of Kalibr by its key 'intrinsics'."""
     return 'intrinsics' in document or any(
         isinstance(value, dict) and 'intrinsics' in value for value in document.values())
 
 
-def camera_from_document(document: dict, source: str) -> tuple[Camera, str]:
+def camera_from_document(document: dict[str, Any], source: str) -> tuple[Camera, str]:
     """
     Return camera and name from the keys of a ROS camera file.
 

@@ -92,7 +92,7 @@ class Comparison:
     @property
     def distance_px(self) -> np.ndarray:
         """Length of each difference, shape (N,)."""
-        return np.linalg.norm(self.difference_px, axis=1)
+        return np.asarray(np.linalg.norm(self.difference_px, axis=1))
 
     @property
     def worst(self) -> int:
@@ -181,7 +181,7 @@ def in_sigmas(statistic: float, p_value: float, freedom: int) -> float:
     return float(np.sqrt(-2 * log_p - 2 * np.log(x * np.sqrt(np.pi / 2))))
 
 
-def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
+def compare_cameras(a: Camera, b: Camera, covariance_a: np.ndarray | None = None,
                     covariance_b: np.ndarray | None = None) -> Comparison:
     """
     Compare where two cameras see the same rays.
@@ -217,8 +217,8 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     if good.sum() < 3:
         raise InputError('The second calibration sees nothing of what the first one sees.')
 
-    def apart(vector):
-        return b.project(Rotation.from_rotvec(vector).apply(rays[good])) - pixels[good]
+    def apart(vector: np.ndarray) -> np.ndarray:
+        return np.asarray(b.project(Rotation.from_rotvec(vector).apply(rays[good])) - pixels[good])
 
     # a ray that leaves the sight of the second camera on the way says nothing
     best = least_squares(lambda vector: np.nan_to_num(apart(vector)).ravel(), np.zeros(3),

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from matplotlib.figure import Figure
 import numpy as np
 
@@ -22,6 +24,9 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.comparison import Comparison, GRID
 from selfcal_ros.report.style import (Drawing, image_axes, image_height_in, INK, ORANGE,
                                       PANEL_WIDTH_IN, round_down, SEQUENTIAL, styled, WHITE)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Every so many points of the grid has an arrow.
 _ARROW_STEP = 3
@@ -63,7 +68,8 @@ def comparison_figure(found: Comparison, camera: Camera, names: tuple[str, str] 
     return Drawing('comparison', 'Difference over the image', found.verdict, (figure,))
 
 
-def _heat(axes, found: Comparison, camera: Camera, values: np.ndarray, unit: str, title: str):
+def _heat(axes: Axes, found: Comparison, camera: Camera, values: np.ndarray, unit: str, title: str,
+          ) -> None:
     """Draw a quantity on the grid of a comparison."""
     u, v = (found.pixels[:, k].reshape(GRID, GRID) for k in (0, 1))
     shown = np.ma.masked_invalid(values.reshape(GRID, GRID))
@@ -79,7 +85,7 @@ def _heat(axes, found: Comparison, camera: Camera, values: np.ndarray, unit: str
     axes.set_title(title)
 
 
-def _arrows(axes, found: Comparison) -> None:
+def _arrows(axes: Axes, found: Comparison) -> None:
     """Draw which way points go; the longest arrow is as long as there is room."""
     some = (slice(1, None, _ARROW_STEP),) * 2
     at, way = (values.reshape(GRID, GRID, 2)[some].reshape(-1, 2)

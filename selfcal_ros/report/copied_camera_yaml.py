@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from msg_adapters.copied_camera import CopiedCamera
@@ -28,7 +29,7 @@ from selfcal_ros.report.yaml_text import decoded, matrix, positive_integer, read
 from selfcal_ros.values.output_files import atomic_write
 
 
-def read_copied_camera(path) -> tuple[CopiedCamera, str]:
+def read_copied_camera(path: str | Path) -> tuple[CopiedCamera, str]:
     """
     Read a camera file of ROS, of whatever lens model, or one of OpenCV: YAML, XML or JSON.
 
@@ -64,7 +65,8 @@ def read_copied_camera(path) -> tuple[CopiedCamera, str]:
     return camera, str(document.get('camera_name') or 'unknown')
 
 
-def write_copied_camera(path, camera: CopiedCamera, name: str, comments=()) -> Path:
+def write_copied_camera(path: str | Path, camera: CopiedCamera, name: str,
+                        comments: Iterable[str] = ()) -> Path:
     """
     Write a camera file of ROS; it appears whole or not at all.
 

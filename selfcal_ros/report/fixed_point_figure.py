@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from matplotlib.patches import Ellipse
 import numpy as np
 
@@ -23,8 +25,11 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.pair_geometry import (EpipolesAndAxes, flat_enough, pair_geometry,
                                               single_pairs)
-from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_panel,
-                                      ORANGE, PAPER, PURPLE, RED, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, image_axes, INK,
+                                      new_panel, ORANGE, PAPER, PURPLE, RED, styled)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: The whole view reaches no farther from the image than so many of its longer sides.
 FARTHEST = 3.0
@@ -79,7 +84,7 @@ def fixed_points_figure(result: Calibration,
                     'from Re − Im to Re + Im: its ends are directions of the plane at right '
                     'angles, which is how the focal length shows.')
     return Drawing('fixed-points', 'Fixed points of the motion',
-                   caption + (f' {note}.' if note else ''), (whole.figure, zoom.figure),
+                   caption + (f' {note}.' if note else ''), (figure_of(whole), figure_of(zoom)),
                    'geometry')
 
 
@@ -106,14 +111,14 @@ def outline(camera: Camera, steps: int = 40) -> np.ndarray:
                              ((s, zero), (one, s), (1 - s, one), (zero, 1 - s))])
     border = border * [camera.width, camera.height] - 0.5
     xy = flat_enough(camera.normalised(np.concatenate([border, border[:1]])))
-    return xy @ camera.K[:2, :2].T + camera.K[:2, 2]
+    return np.asarray(xy @ camera.K[:2, :2].T + camera.K[:2, 2])
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
     """Return the homogeneous points that are not at infinity as pixels, shape (n, 2)."""
     points = points.reshape(-1, 3)
     points = points[np.abs(points[:, 2]) > 1e-9 * np.linalg.norm(points, axis=1)]
-    return points[:, :2] / points[:, 2:]
+    return np.asarray(points[:, :2] / points[:, 2:])
 
 
 def _centre(camera: Camera) -> np.ndarray:
@@ -146,7 +151,7 @@ def _whole_window(result: Calibration, fixed: FixedPoints,
     v = _finite(fixed.vanishing_point)
     if len(v) and np.abs(v[0] - centre).max() < FARTHEST * longer:
         low, high = np.minimum(low, v[0]), np.maximum(high, v[0])
-    bar = _circular_bar(result.fixed_points)
+    bar = _circular_bar(fixed)
     if len(bar) and np.abs(bar - centre).max() < FARTHEST * longer:
         low, high = np.minimum(low, bar.min(axis=0)), np.maximum(high, bar.max(axis=0))
     half = 0.5 * float((high - low).max()) + 0.15 * longer
@@ -164,8 +169,8 @@ def _segment(line: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray | 
     return np.stack([foot - 3 * half * along, foot + 3 * half * along])
 
 
-def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: EpipolesAndAxes, window,
-          title: str) -> None:
+def _draw(axes: Axes, result: Calibration, fixed: FixedPoints, pairs: EpipolesAndAxes,
+          window: tuple[np.ndarray, float], title: str) -> None:
     """Draw what both panels share."""
     camera = result.camera
     centre, half = window
@@ -191,7 +196,7 @@ def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: EpipolesAndAxes,
     axes.set_title(title)
 
 
-def _vanishing_point(axes, result: Calibration, fixed: FixedPoints) -> None:
+def _vanishing_point(axes: Axes, result: Calibration, fixed: FixedPoints) -> None:
     """Mark v, or point to it where it lies outside the panel."""
     v = fixed.vanishing_point
     left, right = axes.get_xlim()
@@ -222,7 +227,7 @@ def _vanishing_point(axes, result: Calibration, fixed: FixedPoints) -> None:
     axes.plot([], [], marker='>', linestyle='none', color=GREEN, label='towards v')
 
 
-def _circular_bar(fixed) -> np.ndarray:
+def _circular_bar(fixed: FixedPoints) -> np.ndarray:
     """Return real part less and plus imaginary part of i, shape (2, 2); empty if infinite."""
     i = np.asarray(fixed.circular_point, complex)
     if not np.isfinite(i).all() or abs(i[2]) <= 1e-9 * np.linalg.norm(i):
@@ -231,7 +236,7 @@ def _circular_bar(fixed) -> np.ndarray:
     return np.stack([i.real - i.imag, i.real + i.imag])
 
 
-def _circular_points(axes, fixed) -> bool:
+def _circular_points(axes: Axes, fixed: FixedPoints) -> bool:
     """Mark the circular points on the horizon; tells whether they are in the panel."""
     bar = _circular_bar(fixed)
     window = np.array([axes.get_xlim(), sorted(axes.get_ylim())])
@@ -244,15 +249,15 @@ def _circular_points(axes, fixed) -> bool:
     return True
 
 
-def _label(axes, text: str, point: np.ndarray) -> None:
+def _label(axes: Axes, text: str, point: np.ndarray) -> None:
     """Write beside a point, on the side that has room."""
     side = 1 if point[0] < np.mean(axes.get_xlim()) else -1
-    axes.annotate(text, point, (9 * side, 6), textcoords='offset points', color=GREEN,
-                  ha='left' if side > 0 else 'right', va='center', zorder=9,
+    axes.annotate(text, (point[0], point[1]), (9 * side, 6), textcoords='offset points',
+                  color=GREEN, ha='left' if side > 0 else 'right', va='center', zorder=9,
                   bbox={'facecolor': PAPER, 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1})
 
 
-def _principal_point(axes, result: Calibration) -> str:
+def _principal_point(axes: Axes, result: Calibration) -> str:
     """Mark the principal point with its ellipse; returns what the caption must say of it."""
     K = result.camera.K
     point = K[:2, 2]

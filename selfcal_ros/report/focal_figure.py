@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, styled
+from selfcal_ros.report.style import BLUE, Drawing, figure_of, GREY, new_panel, styled
 
 
 def focal_figure(result: Calibration) -> Drawing | None:
@@ -53,4 +53,4 @@ def focal_figure(result: Calibration) -> Drawing | None:
     share = 100 * (course.fx.max() / course.fx.min() - 1)
     caption = (f'The focal length varied by {share:.2g} %. Each image has its own camera: all '
                'else is the same, and the distortion goes with the magnification.')
-    return Drawing('focal', 'The focal length', caption, (axes.figure,), 'certainty')
+    return Drawing('focal', 'The focal length', caption, (figure_of(axes),), 'certainty')

@@ -20,14 +20,16 @@ as small JPEGs. All of those that were used give the points of the scene their c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.report.observations import observations, ObservationTable
+from selfcal_ros.report.open_frames import OpenFrames
 from selfcal_ros.report.ply import point_colours
 from selfcal_ros.report.rectified import Rectified, rectified_preview
 from selfcal_ros.report.small_jpeg import small_jpeg
@@ -93,7 +95,8 @@ class Picture:
 
 
 def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
-                         open_frames: Callable) -> tuple[list[Picture], dict]:
+                         open_frames: OpenFrames,
+                         ) -> tuple[list[Picture], dict[int, tuple[int, int, int]]]:
     """
     Read the images again for their looks.
 
@@ -143,7 +146,8 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     return pictures, dict(zip(ids.tolist(), map(tuple, paint.tolist())))
 
 
-def _until(source, used: set, wanted: set, images: dict):
+def _until(source: FrameSource, used: set[int], wanted: set[int], images: dict[int, np.ndarray],
+           ) -> Iterator[Frame]:
     """Yield the frames that were used, and put aside those wanted."""
     for frame in source.only(used):
         if frame.index in wanted:
@@ -157,8 +161,8 @@ def _all_used(tracks: Tracks) -> ObservationTable:
                             np.zeros_like(tracks.xy), np.ones(len(tracks), bool))
 
 
-def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict,
-          worst: set) -> list[Picture]:
+def _draw(result: Calibration | NotCalibrated, seen: ObservationTable, frames: np.ndarray,
+          images: dict[int, np.ndarray], worst: set[int]) -> list[Picture]:
     pictures: list[Picture] = []
     enlarged = (arrow_scale(seen.residual[seen.used], max(result.camera.width, 1)) if result
                 else 1.0)
@@ -195,7 +199,7 @@ def _arrows(seen: ObservationTable, view: int, enlarged: float) -> str:
                            axis=1))
 
 
-def _recent(seen, view: int):
+def _recent(seen: ObservationTable, view: int) -> tuple[np.ndarray, ...]:
     """
     Follow the points of a view back.
 

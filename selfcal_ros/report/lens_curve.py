@@ -29,7 +29,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.projection_uncertainty import axis_scale, parameter_effect
-from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, ORANGE, PALE, styled
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREY, new_panel, ORANGE, PALE,
+                                      styled)
 
 #: Points of the curve.
 _POINTS = 160
@@ -74,7 +75,7 @@ class LensCurve:
     def reference_px(self) -> np.ndarray:
         """Radius of the pinhole, or of the equidistant lens, of the same focal length."""
         angle = np.radians(self.angle_deg)
-        return self.focal_px * (np.tan(angle) if self.is_perspective else angle)
+        return np.asarray(self.focal_px * (np.tan(angle) if self.is_perspective else angle))
 
 
 def lens_curve(camera: Camera, covariance: np.ndarray, seen: np.ndarray | None = None,
@@ -138,7 +139,7 @@ def _blind(camera: Camera) -> float:
 def _angles(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return the angles of pixels from the axis, degrees."""
     rays = camera.rays(pixels)
-    return np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    return np.asarray(np.degrees(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])))
 
 
 def lens_figure(result: Calibration, seen: ObservationTable | None) -> Drawing | None:
@@ -202,7 +203,8 @@ def lens_figure(result: Calibration, seen: ObservationTable | None) -> Drawing |
                 axes.axvline(curve.reached_deg, color=ORANGE, linewidth=1,
                              label='observations end')
             axes.legend(loc='best', handlelength=1.4)
-    return Drawing('lens', 'The lens', _caption(curve), (left.figure, right.figure), 'certainty')
+    return Drawing('lens', 'The lens', _caption(curve),
+                   (figure_of(left), figure_of(right)), 'certainty')
 
 
 def _caption(curve: LensCurve) -> str:

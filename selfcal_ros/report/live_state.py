@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 import math
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -45,6 +46,9 @@ CHANGE = 'change of '
 FILE, WRITTEN = 'file ', 'file written'
 WARNING = 1
 _COUNTS = ('frames', 'keyframes', 'points', 'estimates')
+
+#: Stands in for a number that is not there.
+_Default = TypeVar('_Default', float, None)
 
 
 class LiveState:
@@ -216,7 +220,7 @@ class LiveState:
             return 'estimate'
         return 'file' if WRITTEN in values else ''
 
-    def _parameters(self) -> list[dict]:
+    def _parameters(self) -> list[dict[str, Any]]:
         """Return the camera in force; a sigma that a file does not tell is None."""
         values = self._status[2]
         if self._source() == 'file':
@@ -250,7 +254,7 @@ class LiveState:
                     'too.')
         return f'Not saved yet. The button writes {path}.'
 
-    def as_dict(self, now_s: float) -> dict:
+    def as_dict(self, now_s: float) -> dict[str, Any]:
         """Return everything that the page shows."""
         level, text, values = self._status
         advice = self.advice(now_s)
@@ -320,7 +324,7 @@ def _moved(view: tuple[np.ndarray, np.ndarray], ids: np.ndarray, xy: np.ndarray)
     return float(np.median(np.linalg.norm(xy[b] - view[1][a], axis=1)))
 
 
-def _number(values: Mapping[str, str], name: str, default):
+def _number(values: Mapping[str, str], name: str, default: _Default) -> float | _Default:
     """Read a number of a diagnostic status; what is none, or not finite, is the default."""
     try:
         value = float(values.get(name, ''))

@@ -20,9 +20,11 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 import numpy as np
+from selfcal_ros.calibration.result import Calibration
 
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.comparison import compare_cameras, SAME_PX
@@ -87,7 +89,7 @@ def _time(start_ns: int | None) -> str:
     return datetime.fromtimestamp(start_ns / 1e9, timezone.utc).strftime('%Y-%m-%d %H:%M:%S')
 
 
-def _value(result, name: str) -> str:
+def _value(result: Calibration, name: str) -> str:
     """Write a parameter with its sigma."""
     values = dict(zip(result.sigma, result.camera.parameters.tolist()))
     known = result.status.get(name) == 'estimated'
@@ -157,7 +159,7 @@ def _comparison(camera: CameraSummary) -> str:
             'at the parameters over time before using it.')
 
 
-def summary_to_dict(summary: Summary) -> dict:
+def summary_to_dict(summary: Summary) -> dict[str, Any]:
     """
     Return everything as plain Python values that strict JSON can hold.
 
@@ -173,14 +175,15 @@ def summary_to_dict(summary: Summary) -> dict:
         'recordings'), 'failures' ('path', 'topic', 'error') and 'seconds'.
 
     """
-    return to_jsonable({
+    plain: dict[str, Any] = to_jsonable({
         'cameras': [_camera_to_dict(camera) for camera in summary.cameras],
         'failures': [{'path': outcome.path, 'topic': outcome.topic, 'error': outcome.error}
                      for outcome in summary.failures],
         'seconds': summary.seconds})
+    return plain
 
 
-def _camera_to_dict(camera: CameraSummary) -> dict:
+def _camera_to_dict(camera: CameraSummary) -> dict[str, Any]:
     joint = camera.joint
     recordings = []
     for number, outcome in enumerate(camera.outcomes):
@@ -203,7 +206,7 @@ def _camera_to_dict(camera: CameraSummary) -> dict:
         'notes': camera.notes, 'recordings': recordings}
 
 
-def write_summary_page(path, summary: Summary) -> Path:
+def write_summary_page(path: str | Path, summary: Summary) -> Path:
     """
     Write one self-contained HTML page; it appears whole or not at all.
 
@@ -232,7 +235,7 @@ def _headline(camera: CameraSummary) -> dict[str, str]:
     return {'verdict': _unbroken(first + dot.rstrip()), 'more': _unbroken(rest)}
 
 
-def _table(rows: list[HistoryRow]) -> dict:
+def _table(rows: list[HistoryRow]) -> dict[str, Any]:
     """Return columns and rows of a page; equal focal lengths need one column."""
     columns: tuple[str, ...] = COLUMNS
     if all(row.values[0] == row.values[1] for row in rows):

@@ -30,7 +30,7 @@ _BEGINNINGS = ((0, b'\x89PNG', 'an image'), (0, b'\xff\xd8\xff', 'an image'),
                *((0, beginning, 'a bag') for beginning in BAG_BEGINNINGS.values()))
 
 
-def refuse_other_kinds(path: str | os.PathLike) -> None:
+def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
     """
     Refuse what is given for a camera file, and is a report, an image, a video, a bag or a folder.
 

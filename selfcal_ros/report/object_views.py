@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, PALE, styled
+from selfcal_ros.report.style import BLUE, Drawing, figure_of, GREY, new_panel, PALE, styled
 
 #: Tilts between these tell the focal length best: less looks like another distance, more is
 #: measured badly, degrees.
@@ -87,4 +87,4 @@ def object_views_figure(result: Calibration) -> Drawing | None:
     return Drawing('views', 'How the object was held', f'{100 * steep:.0f} % of the views are '
                    'tilted by 20 to 60 degrees (grey), which tell the focal length best. A board '
                    'that is seen from the front alone could as well be nearer, and the focal '
-                   'length shorter.', (axes.figure,), 'scene')
+                   'length shorter.', (figure_of(axes),), 'scene')

@@ -83,7 +83,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None,
     return drawn
 
 
-def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int, outlined: bool) -> None:
+def _draw_points(drawn: np.ndarray, tracked: TrackedFrame, thick: int, lines: int, outlined: bool,
+                 ) -> None:
     """
     Draw the primitives through their control points, and the edgels; lines up to their ends.
 
@@ -142,7 +143,8 @@ def _half_step_px(points: np.ndarray) -> float:
     return 0.5 * float(np.median(cKDTree(points).query(points, 2)[0][:, 1]))
 
 
-def _draw_axes(drawn, tracked: TrackedFrame, model, camera: Camera, thick: int) -> None:
+def _draw_axes(drawn: np.ndarray, tracked: TrackedFrame, model: WireframeModel, camera: Camera,
+               thick: int) -> None:
     """Draw the object's x, y and z from its origin: red, green, blue."""
     length = 0.25 * model.diameter_m
     axes = np.linspace(0, length, _PIECES)[None, :, None] * np.eye(3)[:, None]
@@ -220,7 +222,7 @@ def _state_text(tracked: TrackedFrame | None) -> str:
     return f'{text}  {tracked.reason}' if tracked.reason else text
 
 
-def _draw_text(drawn, text: str, thick: int, line: int) -> None:
+def _draw_text(drawn: np.ndarray, text: str, thick: int, line: int) -> None:
     """Write a line into the upper left corner, as small as it must be to fit."""
     text = text.encode('ascii', 'replace').decode()
     if not text:
@@ -239,4 +241,4 @@ def _draw_text(drawn, text: str, thick: int, line: int) -> None:
 
 def _fixed(lines: np.ndarray) -> np.ndarray:
     """Return coordinates as OpenCV takes them, with a binary point."""
-    return np.rint(lines * (1 << _SHIFT)).astype(np.int32)
+    return np.asarray(np.rint(lines * (1 << _SHIFT)).astype(np.int32))

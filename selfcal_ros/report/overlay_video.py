@@ -54,7 +54,7 @@ class OverlayVideo:
 
     """
 
-    def __init__(self, path, rate_hz: float = 30.0):
+    def __init__(self, path: str | Path, rate_hz: float = 30.0) -> None:
         self._path = check_video_path(path)
         self._rate_hz = rate_hz if 0.1 <= rate_hz <= 1000 else 30.0
         self._writer: cv2.VideoWriter | None = None
@@ -64,7 +64,7 @@ class OverlayVideo:
     def __enter__(self) -> OverlayVideo:
         return self
 
-    def __exit__(self, kind, *_) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._writer is None:
             return
         self._writer.release()
@@ -113,7 +113,7 @@ class OverlayVideo:
         self._count += 1
 
 
-def check_video_path(path) -> Path:
+def check_video_path(path: str | Path) -> Path:
     """Return the path of a video that can be written; InputError says why it cannot."""
     path = Path(path)
     if path.suffix.lower() not in CODECS:
@@ -135,7 +135,8 @@ def drawing_into(video: OverlayVideo, models: Sequence[WireframeModel], camera: 
 
 
 def drawing_of_camera(video: OverlayVideo, models: Sequence[WireframeModel], camera: Camera,
-                      which: int, names: Sequence[str] = ('',)) -> Callable:
+                      which: int, names: Sequence[str] = ('',),
+                      ) -> Callable[[Sequence[Frame | None], Sequence[RigFrame]], None]:
     """Return a listener of `track_in_rig` that appends the images of one of the cameras."""
     draw = drawing_into(video, models, camera, names)
 

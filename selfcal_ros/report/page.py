@@ -22,10 +22,11 @@ scene, gets numbers only, and the page allows no other by its hash.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Iterable
 import hashlib
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -36,6 +37,8 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.mounts.words import no_mount_sentence
+from selfcal_ros.report.open_frames import OpenFrames
+from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
@@ -43,11 +46,15 @@ from selfcal_ros.report.summary import distortion, matrix, px_text, quality
 from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
+if TYPE_CHECKING:
+    from selfcal_ros.report.keyframe_pictures import Picture
+    from selfcal_ros.report.style import Drawing
 
-def write_page(path, result: Calibration | NotCalibrated, text: str, source: str = '',
+
+def write_page(path: str | Path, result: Calibration | NotCalibrated, text: str, source: str = '',
                figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
                camera_name: str = 'camera', notes: tuple[Finding | str, ...] = (),
-               open_frames: Callable | None = None, made: Provenance | None = None) -> Path:
+               open_frames: OpenFrames | None = None, made: Provenance | None = None) -> Path:
     """
     Write the page; it appears whole or not at all.
 
@@ -86,7 +93,7 @@ def write_page(path, result: Calibration | NotCalibrated, text: str, source: str
 def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
               figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
               camera_name: str = 'camera', notes: tuple[Finding | str, ...] = (),
-              open_frames: Callable | None = None, made: Provenance | None = None) -> str:
+              open_frames: OpenFrames | None = None, made: Provenance | None = None) -> str:
     """Return the page as text; see `write_page` for the parameters."""
     # of a hint everything is shown but the camera file
     shown = result if result else result.hint or result
@@ -117,14 +124,16 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     return f'{head}{len(page.encode()) / 1e6:.1f} MB{foot}'
 
 
-def _images_and_scene(result, tracks, open_frames) -> tuple[list, dict | None]:
+def _images_and_scene(result: Calibration | NotCalibrated, tracks: Tracks | None,
+                      open_frames: OpenFrames | None,
+                      ) -> tuple[list[Picture], dict[str, Any] | None]:
     """Return what the template shows of images and of the scene."""
     if tracks is None:
         return [], None
     from selfcal_ros.report.keyframe_pictures import pictures_and_colours
     from selfcal_ros.report.scene import scene_of
-    pictures: list = []
-    colours: dict = {}
+    pictures: list[Picture] = []
+    colours: dict[int, tuple[int, int, int]] = {}
     if open_frames is not None:
         pictures, colours = pictures_and_colours(result, tracks, open_frames)
     scene = scene_of(result, tracks, colours) if result else None
@@ -136,14 +145,15 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list, dict | None]:
                       'still': drawn([scene_figure(scene)])['still']}
 
 
-def _drawings(result, tracks) -> tuple[dict, list]:
+def _drawings(result: Calibration | NotCalibrated, tracks: Tracks | None,
+              ) -> tuple[dict[str, Any], list[PageTable]]:
     """Return the figures as elements of a page, by name, and the tables."""
     # Matplotlib takes a while to load, and most runs write no page
     from selfcal_ros.report.figures import draw_figures, draw_tables
     return drawn(draw_figures(result, tracks)), draw_tables(result, tracks)
 
 
-def drawn(drawings) -> dict:
+def drawn(drawings: Iterable[Drawing]) -> dict[str, Any]:
     """Return figures as elements of a page, by name."""
     from selfcal_ros.report.inline_svg import inline_svg
     return {drawing.name: {

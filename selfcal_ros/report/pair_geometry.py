@@ -142,20 +142,21 @@ def single_pairs(result: Calibration, seen: ObservationTable,
                            np.where(turning[:, None], axes, np.nan))
 
 
-def _turns(R, a, b) -> np.ndarray:
+def _turns(R: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Tell which pairs turn enough, and not by half a turn."""
     turn = np.einsum('nji,njk->nik', R[a], R[b])
     angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    return (angle > MIN_TURN_RAD) & (angle < np.pi - MIN_TURN_RAD)
+    return np.asarray((angle > MIN_TURN_RAD) & (angle < np.pi - MIN_TURN_RAD))
 
 
-def _seen(K, R, t, points) -> np.ndarray:
+def _seen(K: np.ndarray, R: np.ndarray, t: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Project world points to unit homogeneous pixels, whether ahead or behind."""
     image = (np.einsum('nij,nj->ni', R, points) + t) @ K.T
-    return image / np.maximum(np.linalg.norm(image, axis=1, keepdims=True), 1e-300)
+    return np.asarray(image / np.maximum(np.linalg.norm(image, axis=1, keepdims=True), 1e-300))
 
 
-def _screw_axes(K, R, t, a, b) -> np.ndarray:
+def _screw_axes(K: np.ndarray, R: np.ndarray, t: np.ndarray, a: np.ndarray, b: np.ndarray,
+                ) -> np.ndarray:
     """
     Return the lines m of the pairs.
 

@@ -15,14 +15,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timezone
 import io
+from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 import numpy as np
 
 from selfcal_ros.pipeline.many_inputs import CameraSummary
 from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _UNITS = {'fx': 'px', 'fy': 'px', 'cx': 'px', 'cy': 'px', 'skew': 'px'}
 #: Names of recordings fit under the axis up to so many.
@@ -94,15 +99,16 @@ def _is_used(camera: CameraSummary, number: int) -> bool:
             and bool(camera.joint.used[camera.members.index(number)]))
 
 
-def _places(camera, shown) -> tuple[np.ndarray, bool]:
+def _places(camera: CameraSummary, shown: Sequence[int]) -> tuple[np.ndarray, bool]:
     """Return where to draw: times, or counts."""
-    starts = [camera.outcomes[number].start_ns for number in shown]
-    if None in starts or len(set(starts)) < 2:
+    stated = [camera.outcomes[number].start_ns for number in shown]
+    starts = [start for start in stated if start is not None]
+    if len(starts) < len(stated) or len(set(starts)) < 2:
         return np.array(shown, float) + 1, False
     return np.array([datetime.fromtimestamp(start / 1e9, timezone.utc) for start in starts]), True
 
 
-def _label_places(axis, camera, shown, timed) -> None:
+def _label_places(axis: Axes, camera: CameraSummary, shown: Sequence[int], timed: bool) -> None:
     """Say what the places are."""
     from matplotlib import dates, ticker
     if timed:

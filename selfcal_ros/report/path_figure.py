@@ -19,7 +19,7 @@ from matplotlib.collections import LineCollection
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.style import Drawing, GREY, INK, new_panel, SEQUENTIAL, styled
+from selfcal_ros.report.style import Drawing, figure_of, GREY, INK, new_panel, SEQUENTIAL, styled
 
 #: More cameras than this hide each other.
 MAX_CONES = 24
@@ -83,7 +83,7 @@ def path_figure(result: Calibration) -> Drawing | None:
         bar.set_label('view')
     return Drawing('path', 'Camera path and structure', 'Seen along the rotation axis; the unit '
                    'is the root mean square distance between successive views, because images '
-                   'alone tell no scale.', (axes.figure,), 'still')
+                   'alone tell no scale.', (figure_of(axes),), 'still')
 
 
 def _finite_points(points: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ def _finite_points(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, float)
     points = points[np.isfinite(points).all(axis=1)]
     points = points[np.abs(points[:, 3]) > 1e-6]
-    return points[:, :3] / points[:, 3:]
+    return np.asarray(points[:, :3] / points[:, 3:])
 
 
 def _window(path: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +108,7 @@ def _window(path: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return low - margin, high + margin
 
 
-def _cones(path, ahead, reach, result: Calibration) -> np.ndarray:
+def _cones(path: np.ndarray, ahead: np.ndarray, reach: float, result: Calibration) -> np.ndarray:
     """Return a small triangle of the field of view at every camera, shape (V, 4, 2)."""
     spread = np.clip(0.5 * result.camera.width / result.camera.K[0, 0], 0.15, 1.0)
     across = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)

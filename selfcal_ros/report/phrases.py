@@ -158,7 +158,7 @@ def _derived_rows(result: Calibration) -> list[Row]:
 
 def facts_lines(facts: CameraFacts) -> list[str]:
     """Say what was taken as known, a line each."""
-    def spread(sigma, unit=''):
+    def spread(sigma: float, unit: str = '') -> str:
         return 'exact' if sigma == 0 else f'σ = {sigma:g}{unit}'
 
     lines = []
@@ -183,7 +183,7 @@ def facts_lines(facts: CameraFacts) -> list[str]:
     return lines + [f'lens model: {lens}']
 
 
-def _sigma(result: Calibration) -> dict:
+def _sigma(result: Calibration) -> dict[str, float]:
     """Return the sigmas; rounding can leave a variance of zero slightly negative."""
     variance = np.diag(np.asarray(result.covariance, float))
     return {name: _root(value) for name, value in zip(result.parameter_names, variance)}

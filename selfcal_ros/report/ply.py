@@ -23,6 +23,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
@@ -68,7 +69,7 @@ def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray,
     return placed
 
 
-def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
+def write_ply(path: str | Path, points: np.ndarray, colours: np.ndarray | None = None,
               comments: Iterable[str] = (), *, tracks: np.ndarray | None = None,
               sigma: np.ndarray | None = None, frusta: np.ndarray | None = None) -> Path:
     """
@@ -139,7 +140,7 @@ def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
     return atomic_write(path, '\n'.join([*header, 'end_header\n']).encode('ascii') + body)
 
 
-def point_colours(tracks: Tracks, wanted: np.ndarray, frames: Iterable) -> np.ndarray:
+def point_colours(tracks: Tracks, wanted: np.ndarray, frames: Iterable[Frame]) -> np.ndarray:
     """
     Find the colours of points: the mean over the images that saw them.
 

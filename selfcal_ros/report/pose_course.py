@@ -22,7 +22,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_path
 from selfcal_ros.geometry.rotation import roll_pitch_yaw
-from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, new_panel, ORANGE, styled
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, new_panel, ORANGE,
+                                      styled)
 from selfcal_ros.values.tracks import Tracks
 
 #: Body axes (REP 103: x forward, y left, z up) from optical ones (x right, y down, z forward).
@@ -128,7 +129,7 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)
             axes.legend(loc='best', handlelength=1.4)
-            panels.append(axes.figure)
+            panels.append(figure_of(axes))
     unit = ('lengths are by the poses of the robot' if course.in_metres
             else 'the median step between views is 1')
     return Drawing('course', 'Position and angles over time', f'In the frame of the first view; '

@@ -38,8 +38,8 @@ class PosesTable:
     A LOST image has no pose: its cells are empty.
     """
 
-    def __init__(self):
-        self._rows = []
+    def __init__(self) -> None:
+        self._rows: list[list[int | str]] = []
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -55,14 +55,14 @@ class PosesTable:
         tracked : TrackedFrame
 
         """
-        row = [int(frame.index), int(frame.stamp_ns), tracked.state.value]
+        row: list[int | str] = [int(frame.index), int(frame.stamp_ns), tracked.state.value]
         if tracked.state is TrackerState.LOST:
             self._rows.append(row + [''] * (len(COLUMNS) - 3))
             return
         variance = np.diag(tracked.covariance)
         values = [*tracked.translation, *rotation_vector(tracked.rotation), tracked.focal_px,
                   np.sqrt(variance[:3].sum()), np.sqrt(variance[3:].sum())]
-        self._rows.append(row + [f'{float(value):.9g}' for value in values])
+        self._rows.append([*row, *(f'{float(value):.9g}' for value in values)])
 
     def text(self) -> str:
         """Return the table as CSV."""
@@ -72,7 +72,7 @@ class PosesTable:
         writer.writerows(self._rows)
         return buffer.getvalue()
 
-    def write(self, path) -> Path:
+    def write(self, path: str | Path) -> Path:
         """
         Write the file, whole or not at all.
 
@@ -85,7 +85,7 @@ class PosesTable:
         return atomic_write(path, self.text())
 
 
-def read_poses(path) -> dict:
+def read_poses(path: str | Path) -> dict[str, np.ndarray]:
     """
     Read poses.csv.
 

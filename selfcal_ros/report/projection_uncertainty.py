@@ -57,7 +57,7 @@ class ProjectionUncertainty:
         C = self.covariance
         mean = (C[..., 0, 0] + C[..., 1, 1]) / 2
         apart = np.hypot((C[..., 0, 0] - C[..., 1, 1]) / 2, C[..., 0, 1])
-        return np.sqrt(np.maximum(mean + apart, 0))
+        return np.asarray(np.sqrt(np.maximum(mean + apart, 0)))
 
 
 def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int = 40,

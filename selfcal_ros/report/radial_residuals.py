@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.observations import ObservationTable
-from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, ORANGE, styled
+from selfcal_ros.report.style import BLUE, Drawing, figure_of, GREY, new_panel, ORANGE, styled
 
 #: Rings hold equally many observations: so many at least, and there are so many rings at most.
 LEAST_IN_RING, MOST_RINGS = 40, 16
@@ -92,7 +92,7 @@ def radial_residuals(centre: np.ndarray, xy: np.ndarray,
     ring = rank * rings // len(radius)
     count = np.bincount(ring, minlength=rings)
 
-    def mean(values):
+    def mean(values: np.ndarray) -> np.ndarray:
         return np.bincount(ring, values, minlength=rings) / count
 
     power, outwards_px, around_px = mean((along**2 + across**2) / 2), mean(along), mean(across)
@@ -140,7 +140,8 @@ def radial_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
             axes.set_xlabel('distance from the principal point / px')
             axes.spines[['top', 'right']].set_visible(False)
             axes.legend(loc='best', handlelength=1.4)
-    return Drawing('radial', 'Residuals by radius', _caption(course), (left.figure, right.figure))
+    return Drawing('radial', 'Residuals by radius', _caption(course),
+                   (figure_of(left), figure_of(right)))
 
 
 def _caption(course: RadialResiduals) -> str:

@@ -15,14 +15,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from matplotlib.colors import LinearSegmentedColormap
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.report.observations import ObservationTable
-from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
-                                      new_panel, ORANGE, PALE, round_down, SEQUENTIAL, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREY, image_axes, image_height_in,
+                                      INK, new_panel, ORANGE, PALE, round_down, SEQUENTIAL, styled)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Cells along the longer side of the image.
 RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
@@ -80,7 +85,7 @@ def residual_figure(result: Calibration, seen: ObservationTable | None) -> Drawi
     caption += (' The bell is that of the middle of the residuals, without their tails. The image '
                 f'noise σ of {result.noise_sigma_px:.2g} px counts the tails. The reprojection '
                 f'rms of {result.reprojection_rms_px:.2g} px is of both coordinates together.')
-    return Drawing('residuals', 'Residuals', caption, tuple(axes.figure for axes in panels))
+    return Drawing('residuals', 'Residuals', caption, tuple(map(figure_of, panels)))
 
 
 def _exceeds(residual: np.ndarray, result: Calibration) -> bool:
@@ -89,7 +94,8 @@ def _exceeds(residual: np.ndarray, result: Calibration) -> bool:
     return rms > 1.3 * result.reprojection_rms_px
 
 
-def cells(size: tuple[int, int], xy: np.ndarray, along: int) -> tuple[np.ndarray, tuple, float]:
+def cells(size: tuple[int, int], xy: np.ndarray, along: int,
+          ) -> tuple[np.ndarray, tuple[int, ...], float]:
     """
     Sort image points into square cells.
 
@@ -109,7 +115,7 @@ def cells(size: tuple[int, int], xy: np.ndarray, along: int) -> tuple[np.ndarray
     return place[:, 1] * shape[1] + place[:, 0], shape, side
 
 
-def _field(axes, result: Calibration, xy, residual) -> None:
+def _field(axes: Axes, result: Calibration, xy: np.ndarray, residual: np.ndarray) -> None:
     """Draw an arrow for the mean residual of each cell."""
     camera = result.camera
     good = np.isfinite(residual).all(axis=1)
@@ -137,12 +143,13 @@ def _field(axes, result: Calibration, xy, residual) -> None:
                                aspect=35, pad=0.02, extend='max')
     bar.set_label('length / expected from noise')
     sample = round_down(side / scale)
-    axes.quiverkey(arrows, 0.82, 1 - 0.1 / axes.figure.get_figheight(), sample, f'{sample:g} px',
-                   labelpos='E', color=INK, coordinates='figure', fontproperties={'size': 8})
+    axes.quiverkey(arrows, 0.82, 1 - 0.1 / figure_of(axes).get_figheight(), sample,
+                   f'{sample:g} px', labelpos='E', color=INK, coordinates='figure',
+                   fontproperties={'size': 8})
     axes.set_title('Mean residual in cells')
 
 
-def _histogram(axes, values: np.ndarray) -> None:
+def _histogram(axes: Axes, values: np.ndarray) -> None:
     """Draw the distribution of the residuals' coordinates against a Gaussian."""
     sigma = float(robust_sigma(values - np.median(values)))
     sigma = sigma if sigma > 0 else float(values.std()) or 1.0
@@ -150,7 +157,7 @@ def _histogram(axes, values: np.ndarray) -> None:
     edges = np.linspace(-reach, reach, 61)
     # of all, so that what lies beyond the ends takes its share of the area
     share = np.full(len(values), 1 / (len(values) * (edges[1] - edges[0])))
-    axes.hist(values, edges, weights=share, color=BLUE, alpha=0.45,
+    axes.hist(values, edges.tolist(), weights=share, color=BLUE, alpha=0.45,
               label=f'{len(values)} residual coordinates')
     beyond = float(np.mean(np.abs(values) > reach))
     if beyond:
@@ -204,4 +211,4 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     caption = ('There are observations all over the image.' if empty < 0.005 else
                f'{100 * empty:.0f} % of the image has no observation; distortion is extrapolated '
                'there.')
-    return Drawing('coverage', 'Coverage of the image', caption, (axes.figure,), 'seen')
+    return Drawing('coverage', 'Coverage of the image', caption, (figure_of(axes),), 'seen')

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import dataclasses
 import json
 import math
@@ -47,7 +48,7 @@ OF_A_HINT = ('camera', 'lens', 'sigma', 'covariance', 'parameter_names')
 _BEFORE_K3 = 9
 
 
-def result_to_dict(result: Calibration | NotCalibrated) -> dict:
+def result_to_dict(result: Calibration | NotCalibrated) -> dict[str, Any]:
     """
     Return the result as plain Python values that strict JSON can hold.
 
@@ -115,7 +116,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         found['focal'] = [
             {'frame': frame, 'fx': fx, 'sigma': sigma} for frame, fx, sigma in zip(
                 result.focal.frames, result.focal.fx, result.focal.sigma)]
-    findings: list = list(result.findings)
+    findings: list[Any] = list(result.findings)
     if not result and result.kind:
         found['kind'] = result.kind
         findings.insert(0, {'kind': result.kind, **result.values})
@@ -136,15 +137,16 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     if not result and result.hint is not None:
         found['hint'] = {name: value for name, value in result_to_dict(result.hint).items()
                          if name in OF_A_HINT}
-    return to_jsonable(found)
+    plain: dict[str, Any] = to_jsonable(found)
+    return plain
 
 
-def _identifiability(result: Calibration) -> dict | None:
+def _identifiability(result: Calibration) -> dict[str, Any] | None:
     known = result.identifiability
     return None if known is None else dataclasses.asdict(known)
 
 
-def _measurement(result: Calibration) -> dict | None:
+def _measurement(result: Calibration) -> dict[str, Any] | None:
     if not min(result.camera.width, result.camera.height) > 0:
         return None
     angle = central_angle(result.camera, result.covariance)
@@ -154,7 +156,7 @@ def _measurement(result: Calibration) -> dict | None:
             **_in_the_structure(result.measured)}
 
 
-def _in_the_structure(sample: StructureSample | None) -> dict:
+def _in_the_structure(sample: StructureSample | None) -> dict[str, Any]:
     if sample is None:
         return {'length_ratio': None, 'structure_angle_deg': None}
     return {'length_ratio': {**dataclasses.asdict(sample.length_ratio), 'first': sample.first,
@@ -163,7 +165,8 @@ def _in_the_structure(sample: StructureSample | None) -> dict:
                                     'corner': sample.corner}}
 
 
-def write_result_json(path, result: Calibration | NotCalibrated, seed: int | None = None) -> Path:
+def write_result_json(path: str | Path, result: Calibration | NotCalibrated,
+                      seed: int | None = None) -> Path:
     """
     Write the result as JSON; the file appears whole or not at all.
 
@@ -199,7 +202,7 @@ def result_to_json(result: Calibration | NotCalibrated, seed: int | None = None)
                       ensure_ascii=False) + '\n'
 
 
-def result_from_dict(content: dict) -> Calibration | NotCalibrated:
+def result_from_dict(content: dict[str, Any]) -> Calibration | NotCalibrated:
     """
     Turn what `result_to_dict` gives back into a result.
 
@@ -237,7 +240,7 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         labels=_labels(content.get('labels')), mount=mount_from_dict(content.get('mount')))
 
 
-def _refusal(content: dict) -> NotCalibrated:
+def _refusal(content: dict[str, Any]) -> NotCalibrated:
     """Read why there is no calibration, and what the images suggest where they do."""
     kind, stored = content.get('kind', ''), list(content.get('findings', ()))
     values = {name: value for name, value in stored.pop(0).items() if name != 'kind'} \
@@ -252,7 +255,7 @@ def _refusal(content: dict) -> NotCalibrated:
     return dataclasses.replace(refusal, hint=_hint(content['hint'], refusal))
 
 
-def _hint(stored: dict, refusal: NotCalibrated) -> Calibration:
+def _hint(stored: dict[str, Any], refusal: NotCalibrated) -> Calibration:
     """Read what the images suggest; the rest is that of the refusal."""
     camera = _stored_camera(stored['camera'])
     status: dict[str, Status] = {
@@ -265,13 +268,13 @@ def _hint(stored: dict, refusal: NotCalibrated) -> Calibration:
         reconstruction=None, software=refusal.software)
 
 
-def _facts(content: dict) -> CameraFacts:
+def _facts(content: dict[str, Any]) -> CameraFacts:
     stated: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
                               for name, value in content.get('facts', {}).items()}
     return CameraFacts(**stated)
 
 
-def _stored_camera(c: dict) -> Camera:
+def _stored_camera(c: dict[str, Any]) -> Camera:
     model = lens_model(c.get('distortion_model', 'plumb_bob'))
     # older files of a plumb bob lack its k3
     if len(c['d']) not in (len(model.coefficients), 0, *((4,) if model is PLUMB_BOB else ())):
@@ -280,7 +283,7 @@ def _stored_camera(c: dict) -> Camera:
                   np.array(c['d']), c['width'], c['height'], model.name)
 
 
-def _stored_covariance(content: dict, camera: Camera) -> np.ndarray:
+def _stored_covariance(content: dict[str, Any], camera: Camera) -> np.ndarray:
     covariance = np.array([[_number(v) for v in row] for row in content['covariance']], float)
     return _complete(covariance, content.get('parameter_names'), camera)
 
@@ -290,7 +293,7 @@ def _number(stored: float | None) -> float:
     return np.nan if stored is None else stored
 
 
-def _fixed_points(stored: dict | None) -> FixedPoints | None:
+def _fixed_points(stored: dict[str, Any] | None) -> FixedPoints | None:
     if not stored:
         return None
     real, imaginary = np.array(stored['circular_point'], float).T
@@ -298,7 +301,7 @@ def _fixed_points(stored: dict | None) -> FixedPoints | None:
                        np.array(stored['vanishing_point'], float), real + 1j * imaginary)
 
 
-def _stored_identifiability(stored: dict | None) -> Identifiability | None:
+def _stored_identifiability(stored: dict[str, Any] | None) -> Identifiability | None:
     """Read where the knowledge of each parameter comes from; infinite factors are null."""
     if not stored:
         return None
@@ -311,7 +314,7 @@ def _stored_identifiability(stored: dict | None) -> Identifiability | None:
                            _number(stored['weakest_share']))
 
 
-def _structure_sample(stored: dict | None) -> StructureSample | None:
+def _structure_sample(stored: dict[str, Any] | None) -> StructureSample | None:
     """Read the two measurements in the structure, where there are any."""
     length, angle = ((stored or {}).get(name) for name in ('length_ratio', 'structure_angle_deg'))
     if not (length and angle):
@@ -321,7 +324,7 @@ def _structure_sample(stored: dict | None) -> StructureSample | None:
                            tuple(angle['corner']))
 
 
-def _labels(stored: dict | None) -> TrackLabels | None:
+def _labels(stored: dict[str, Any] | None) -> TrackLabels | None:
     """Read what every track is."""
     if stored is None:
         return None
@@ -333,7 +336,7 @@ def _labels(stored: dict | None) -> TrackLabels | None:
     return TrackLabels(track, label, len(names) - len(NAMES) - aside, aside)
 
 
-def _focal(stored: list[dict] | None) -> FocalCourse | None:
+def _focal(stored: list[dict[str, Any]] | None) -> FocalCourse | None:
     """Read the focal lengths of the frames, where they differ."""
     if not stored:
         return None
@@ -342,7 +345,7 @@ def _focal(stored: list[dict] | None) -> FocalCourse | None:
     return FocalCourse(frames.astype(int), fx, sigma)
 
 
-def _complete(covariance: np.ndarray, names, camera: Camera) -> np.ndarray:
+def _complete(covariance: np.ndarray, names: Sequence[str] | None, camera: Camera) -> np.ndarray:
     """Return the covariance of all parameters; older files know fewer, the others are held."""
     if names is None:
         # k3 came later than the names
@@ -356,7 +359,7 @@ def _complete(covariance: np.ndarray, names, camera: Camera) -> np.ndarray:
     return whole
 
 
-def _findings(stored, notes) -> tuple[Finding, ...]:
+def _findings(stored: list[dict[str, Any]] | None, notes: Sequence[object]) -> tuple[Finding, ...]:
     """Read findings; kinds of another version become what the notes say of them."""
     if not stored:
         return tuple(Finding('note', text=str(text)) for text in notes)
@@ -370,18 +373,18 @@ def _findings(stored, notes) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _camera(camera) -> dict:
+def _camera(camera: Camera) -> dict[str, Any]:
     values = dict(zip(MATRIX_PARAMETERS, camera.parameters))
     return {'width': camera.width, 'height': camera.height, **values,
             'distortion_model': camera.model, 'd': camera.distortion}
 
 
-def _lens(camera: Camera) -> dict:
+def _lens(camera: Camera) -> dict[str, Any]:
     return {'model': camera.model,
             'coefficients': dict(zip(camera.lens.coefficients, camera.distortion))}
 
 
-def _sigma(result: Calibration) -> dict:
+def _sigma(result: Calibration) -> dict[str, Any]:
     variance = np.diag(np.asarray(result.covariance, float))
     # rounding can leave a variance of zero slightly negative
     with np.errstate(invalid='ignore'):
@@ -391,7 +394,7 @@ def _sigma(result: Calibration) -> dict:
             for name, value in zip(result.parameter_names, sigma)}
 
 
-def to_jsonable(value):
+def to_jsonable(value: object) -> Any:
     """Convert to what strict JSON knows; what is not finite becomes None."""
     if isinstance(value, Finding):
         return to_jsonable(value.as_dict())

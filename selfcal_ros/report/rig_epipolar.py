@@ -77,7 +77,7 @@ def _rays(camera: Camera, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit rays (N, 3) of pixels, and their derivatives (2, N, 3) by the pixels."""
     def unit(at: np.ndarray) -> np.ndarray:
         rays = camera.rays(at)
-        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
     steps = _STEP_PX * np.eye(2)
     slopes = [(unit(xy + step) - unit(xy - step)) / (2 * _STEP_PX) for step in steps]
     return unit(xy), np.array(slopes)

@@ -21,7 +21,8 @@ import numpy as np
 
 from selfcal_ros.calibration.rigs.result import RigCalibration
 from selfcal_ros.report.rig_epipolar import WRONG_PX
-from selfcal_ros.report.style import BLUE, Drawing, GREEN, INK, new_panel, ORANGE, PURPLE, styled
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, INK, new_panel, ORANGE,
+                                      PURPLE, styled)
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 #: Views: to the right on the paper, and upwards, as axis and sign.
@@ -69,7 +70,7 @@ def rig_figure(rig: RigCalibration) -> Drawing | None:
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)
             axes.figure.legend(loc='outside lower center', ncols=4)
-            panels.append(axes.figure)
+            panels.append(figure_of(axes))
     return Drawing('rig', 'The cameras to each other', 'In the optical frame of the first camera: '
                    'x right, y down, z ahead. Arrows are the optical axes; the pyramids '
                    'show what each camera sees.',
@@ -109,7 +110,7 @@ def epipolar_figure(distances: Mapping[tuple[str, str], np.ndarray],
             beyond = 100 * float(np.mean(np.abs(all_px) > reach))
             axes.set_title(f'{first} and {second}; {beyond:.2g} % lie beyond the ends')
             axes.spines[['top', 'right']].set_visible(False)
-            panels.append(axes.figure)
+            panels.append(figure_of(axes))
     caption = ('Distances of matches from the epipolar planes of this calibration. They should '
                'gather about zero, as narrow as the noise of the images.')
     if bent_px is not None:

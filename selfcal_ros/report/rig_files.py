@@ -21,7 +21,7 @@ P of the right camera has -f b in its last column (metres).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +141,8 @@ def rig_to_dict(result: RigCalibration | NotCalibrated) -> dict[str, Any]:
               'findings': list(result.findings), 'software': result.software,
               'cameras': cameras, 'unit': result.unit, 'path_step': result.scale, 'joint': joint,
               'rig': {name: _pose(pose) for name, pose in result.poses.items()}}
-    return to_jsonable({**next(iter(cameras.values())), **of_all})
+    plain: dict[str, Any] = to_jsonable({**next(iter(cameras.values())), **of_all})
+    return plain
 
 
 def _pose(pose: CameraInRig) -> dict[str, Any]:
@@ -185,7 +186,7 @@ def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> 
     return '\n'.join([*lines, '', *rig.notes])
 
 
-def output_names(camera_yaml: Path, cameras) -> dict[str, Path]:
+def output_names(camera_yaml: Path, cameras: Iterable[str]) -> dict[str, Path]:
     """Name the camera file of every camera: camera.yaml gives camera_left.yaml."""
     return {name: camera_yaml.with_name(f'{camera_yaml.stem}_{name}{camera_yaml.suffix}')
             for name in cameras}

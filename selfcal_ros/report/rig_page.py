@@ -39,9 +39,9 @@ _WAYS = {'x': 'right', 'y': 'down', 'z': 'ahead', 'roll': 'about x', 'pitch': 'a
          'yaw': 'about z'}
 
 
-def write_rig_page(path, result: RigCalibration | NotCalibrated, text: str, source: str = '',
-                   tracks: Mapping[str, Tracks] | None = None, shared: bool = False,
-                   made: Provenance | None = None) -> Path:
+def write_rig_page(path: str | Path, result: RigCalibration | NotCalibrated, text: str,
+                   source: str = '', tracks: Mapping[str, Tracks] | None = None,
+                   shared: bool = False, made: Provenance | None = None) -> Path:
     """
     Write the page; it appears whole or not at all.
 

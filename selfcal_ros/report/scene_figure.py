@@ -15,11 +15,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from matplotlib.collections import LineCollection
 import numpy as np
 
 from selfcal_ros.report.scene import Scene
-from selfcal_ros.report.style import Drawing, GREY, INK, new_panel, PALE, SEQUENTIAL, styled
+from selfcal_ros.report.style import (Drawing, figure_of, GREY, INK, new_panel, PALE, SEQUENTIAL,
+                                      styled)
 
 #: The eye is behind the cameras, turned by this and above them by that, as in the viewer.
 TURN_RAD, PITCH_RAD = 0.5, 0.6
@@ -52,7 +55,7 @@ def scene_figure(scene: Scene) -> Drawing:
     near = ((scene.points >= low) & (scene.points <= high)).all(axis=1)
     with styled():
         axes = new_panel(3.6)
-        axes.add_collection(LineCollection(project(_grid(low, high, size / 12, floor)),
+        axes.add_collection(LineCollection(list(project(_grid(low, high, size / 12, floor))),
                                            colors=PALE, linewidths=0.7))
         axes.plot(*project(scene.points[near]).T, '.', color=GREY, markersize=2.4,
                   markeredgewidth=0, rasterized=True)
@@ -62,8 +65,8 @@ def scene_figure(scene: Scene) -> Drawing:
         some = np.unique(np.linspace(0, len(R) - 1, MAX_CAMERAS).astype(int))
         reach = max(min(0.035 * size, 1.6 if scene.path else size), 0.014 * size)
         cameras = LineCollection(
-            project(_pyramids(centres[some], R[some], reach, scene.corners)), cmap=SEQUENTIAL,
-            linewidths=0.9)
+            list(project(_pyramids(centres[some], R[some], reach, scene.corners))),
+            cmap=SEQUENTIAL, linewidths=0.9)
         cameras.set_array(some)
         axes.add_collection(cameras)
         axes.autoscale_view()
@@ -71,24 +74,24 @@ def scene_figure(scene: Scene) -> Drawing:
         axes.set_axis_off()
     what = 'the path and the structure' if scene.path else 'the views of the object'
     return Drawing('still', 'The scene', f'In perspective: {what}, from behind and above.',
-                   (axes.figure,), 'still')
+                   (figure_of(axes),), 'still')
 
 
-def _eye(middle: np.ndarray, size: float, ahead: np.ndarray):
+def _eye(middle: np.ndarray, size: float, ahead: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Return what projects points (..., 3) to a picture (..., 2)."""
     yaw = np.arctan2(ahead[1], ahead[0]) + TURN_RAD
     c, s, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(PITCH_RAD), np.sin(PITCH_RAD)
     axes = np.array([[s, -c, 0], [sp * c, sp * s, cp], [cp * c, cp * s, -sp]])
     eye = middle - 1.5 * size * axes[2]
 
-    def project(points):
+    def project(points: np.ndarray) -> np.ndarray:
         x = (np.asarray(points) - eye) @ axes.T
-        return x[..., :2] / np.maximum(x[..., 2:], 0.05 * size)
+        return np.asarray(x[..., :2] / np.maximum(x[..., 2:], 0.05 * size))
 
     return project
 
 
-def _grid(low, high, step: float, floor: float) -> np.ndarray:
+def _grid(low: np.ndarray, high: np.ndarray, step: float, floor: float) -> np.ndarray:
     """Return the lines of a square grid on the floor, shape (n, 2, 3)."""
     power = 10.0 ** np.floor(np.log10(step))
     step = power * next(m for m in (1, 2, 5, 10) if m * power >= 0.999 * step)
@@ -98,7 +101,7 @@ def _grid(low, high, step: float, floor: float) -> np.ndarray:
     return np.array(lines + [[(x0, v, floor), (x1, v, floor)] for v in y])
 
 
-def _pyramids(centres, R, reach: float, corners: np.ndarray) -> np.ndarray:
+def _pyramids(centres: np.ndarray, R: np.ndarray, reach: float, corners: np.ndarray) -> np.ndarray:
     """Return each camera's field of view as one stroke, shape (V, 10, 3)."""
     rays = reach * np.column_stack([corners, np.ones(4)])
     ends = np.einsum('vji,cj->vci', R, rays) + centres[:, None]

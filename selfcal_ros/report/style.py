@@ -15,15 +15,19 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 import io
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 import warnings
 
 import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Colours that remain apart for colour-blind readers and in grey print (Okabe and Ito 2008).
 INK, GREY, PALE, PAPER = '#222222', '#8a8f98', '#d9dce1', '#ffffff'
@@ -111,7 +115,7 @@ def _png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def styled(settings: dict | None = None):
+def styled(settings: dict[str, Any] | None = None) -> AbstractContextManager[None]:
     """Return a context in which Matplotlib draws in this look."""
     with warnings.catch_warnings():
         # reading settings that a version has deprecated warns
@@ -122,12 +126,19 @@ def styled(settings: dict | None = None):
         return matplotlib.rc_context(chosen)
 
 
-def new_panel(height_in: float = 3.4):
+def new_panel(height_in: float = 3.4) -> Axes:
     """Return the axes of an empty figure as wide as a column, of the given height."""
     return Figure(figsize=(PANEL_WIDTH_IN, height_in), layout='constrained').subplots()
 
 
-def image_axes(axes, width: int, height: int) -> None:
+def figure_of(axes: Axes) -> Figure:
+    """Return the whole figure that axes are in."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    return figure
+
+
+def image_axes(axes: Axes, width: int, height: int) -> None:
     """Prepare axes to show the image plane, y down, in pixels."""
     axes.set_aspect('equal')
     axes.set_xlim(-0.5, width - 0.5)

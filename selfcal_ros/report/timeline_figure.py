@@ -19,7 +19,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 import numpy as np
 
-from selfcal_ros.pipeline.long_recording import Survey
+from selfcal_ros.pipeline.long_recording import FollowedSegment, Survey
 from selfcal_ros.report.inline_svg import inline_svg
 from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, ORANGE, PALE, PURPLE, RED, styled
 
@@ -85,7 +85,7 @@ def timeline_html(survey: Survey) -> Markup:
         drawing.title, svg, drawing.caption, table if rows else '')
 
 
-def _outcome(one) -> str:
+def _outcome(one: FollowedSegment) -> str:
     """Say what came of a segment."""
     if not one.result:
         return f'not used: {one.result.reason}'
@@ -103,4 +103,4 @@ def _caption(survey: Survey) -> str:
 def _medians(values: np.ndarray, piece: int) -> np.ndarray:
     """Medians of successive pieces."""
     whole = len(values) // piece * piece
-    return np.median(values[:whole].reshape(-1, piece), axis=1)
+    return np.asarray(np.median(values[:whole].reshape(-1, piece), axis=1))

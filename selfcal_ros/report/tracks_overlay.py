@@ -33,7 +33,7 @@ class TracksOverlay:
     One object draws one stream: it remembers where the points were in the last images.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
         self._age: dict[int, int] = {}
 

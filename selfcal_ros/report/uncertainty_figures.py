@@ -20,7 +20,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.projection_uncertainty import (parameter_effect,
                                                        projection_uncertainty)
-from selfcal_ros.report.style import (BLACK, BLUE, Drawing, image_axes, image_height_in,
+from selfcal_ros.report.style import (BLACK, BLUE, Drawing, figure_of, image_axes, image_height_in,
                                       new_panel, SEQUENTIAL, styled, WHITE)
 
 #: The colours of projection uncertainty end at so many medians.
@@ -75,7 +75,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
     return Drawing('sigmas', 'Uncertainty of the parameters', 'What one sigma of each parameter '
                    'alone moves in the corner of the image; parameters that are strongly '
                    'correlated move together and hide part of this.',
-                   (left.figure, right.figure), 'certainty')
+                   (figure_of(left), figure_of(right)), 'certainty')
 
 
 def _corner_effect(result: Calibration) -> np.ndarray:
@@ -88,7 +88,7 @@ def _corner_effect(result: Calibration) -> np.ndarray:
     way = centre + np.linspace(1, 0.02, 50)[:, None] * (corner - centre)
     effect = parameter_effect(camera, way, rotate=False)
     first = int(np.argmax(np.isfinite(effect).all(axis=(1, 2))))
-    return np.linalg.norm(effect[first], axis=0)
+    return np.asarray(np.linalg.norm(effect[first], axis=0))
 
 
 def projection_figure(result: Calibration) -> Drawing | None:
@@ -137,4 +137,5 @@ def projection_figure(result: Calibration) -> Drawing | None:
         axes.set_title('σ of a projected point, worst direction')
     return Drawing('projection', 'Uncertainty of projection', f'All parameters together, after '
                    f'the best small rotation: at most {top:.2g} px, '
-                   f'{float(np.ma.median(sigma)):.2g} px in the median.', (axes.figure,), 'seen')
+                   f'{float(np.ma.median(sigma)):.2g} px in the median.',
+                   (figure_of(axes),), 'seen')

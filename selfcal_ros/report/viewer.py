@@ -15,15 +15,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.report.open_frames import OpenFrames
 from selfcal_ros.values.output_files import check_writable
 from selfcal_ros.values.tracks import Tracks
 
@@ -31,7 +33,7 @@ from selfcal_ros.values.tracks import Tracks
 _FRUSTUM = 0.5
 
 
-def load_rerun():
+def load_rerun() -> ModuleType:
     """
     Return the module of Rerun.
 
@@ -48,7 +50,7 @@ def load_rerun():
                             'clone).') from None
 
 
-def view(calibration: Calibration, tracks: Tracks, open_frames: Callable | None = None,
+def view(calibration: Calibration, tracks: Tracks, open_frames: OpenFrames | None = None,
          recording: Path | None = None) -> None:
     """
     Open the viewer with a calibration, or write a recording for it.
@@ -103,7 +105,8 @@ def view(calibration: Calibration, tracks: Tracks, open_frames: Callable | None 
     rr.disconnect()
 
 
-def _images(poses: dict, open_frames: Callable | None):
+def _images(poses: dict[int, np.ndarray], open_frames: OpenFrames | None,
+            ) -> Iterator[tuple[int, np.ndarray | None]]:
     """Yield the numbers of the views, each with its image where there is one."""
     if open_frames is not None:
         with open_frames() as frames:

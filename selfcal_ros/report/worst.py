@@ -16,14 +16,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.page_table import PageTable
-from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
-                                      new_panel, ORANGE, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREY, image_axes, image_height_in,
+                                      INK, new_panel, ORANGE, styled)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Rows of each table.
 WORST = 6
@@ -168,7 +172,7 @@ def images_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
     return Drawing('images-fit', 'Which images fit', 'Left, the worst are named. Right, the '
                    'residuals of the worst: noise points everywhere; arrows that agree tell of '
                    'blur, of a rolling shutter, or of a lens unlike its model.',
-                   (left.figure, right.figure))
+                   (figure_of(left), figure_of(right)))
 
 
 def _levels(at: np.ndarray, height: np.ndarray, width: float, top: float) -> list[int]:
@@ -185,7 +189,8 @@ def _levels(at: np.ndarray, height: np.ndarray, width: float, top: float) -> lis
     return levels
 
 
-def _arrows(axes, result: Calibration, seen: ObservationTable, view: int, frame: int) -> None:
+def _arrows(axes: Axes, result: Calibration, seen: ObservationTable, view: int, frame: int,
+            ) -> None:
     """Draw the residuals of a view, from the measured to the predicted position."""
     camera = result.camera
     image_axes(axes, camera.width, camera.height)

@@ -15,6 +15,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from selfcal_ros.errors import InputError
@@ -38,7 +41,7 @@ _Loader.add_constructor('tag:yaml.org,2002:opencv-matrix',
                         lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
-def read_bytes(path, limit: int = MAX_BYTES) -> bytes:
+def read_bytes(path: str | Path, limit: int = MAX_BYTES) -> bytes:
     """
     Read a file of so many bytes at most.
 
@@ -52,7 +55,7 @@ def read_bytes(path, limit: int = MAX_BYTES) -> bytes:
     return read_limited(path, limit)
 
 
-def decoded(raw: bytes, source) -> str:
+def decoded(raw: bytes, source: str | Path) -> str:
     """Return the text of a file; InputError if it is none."""
     try:
         return raw.decode('utf-8-sig')
@@ -60,7 +63,7 @@ def decoded(raw: bytes, source) -> str:
         raise InputError(f'{source} is no camera file: it is not text; {KNOWN}.') from None
 
 
-def load_yaml(text: str, source: str) -> dict:
+def load_yaml(text: str, source: str) -> dict[str, Any]:
     """
     Parse a YAML document of keys, in which every scalar stays the string that was written.
 
@@ -85,7 +88,7 @@ def number_text(value: float) -> str:
     return f'{mantissa}.0e{exponent}' if mark and '.' not in mantissa else text
 
 
-def positive_integer(value, where: str) -> int:
+def positive_integer(value: Any, where: str) -> int:
     """Read an image size; InputError, which starts with `where`, if it is none."""
     try:
         number = int(value)
@@ -98,7 +101,7 @@ def positive_integer(value, where: str) -> int:
     return number
 
 
-def numbers(values, source: str, key: str) -> np.ndarray:
+def numbers(values: Any, source: str, key: str) -> np.ndarray:
     """Read a list of finite numbers, shape (N,); InputError if it is none."""
     if not isinstance(values, list) or (len(values) == 1 and isinstance(values[0], str)
                                         and len(values[0].split()) > 1):
@@ -114,7 +117,8 @@ def numbers(values, source: str, key: str) -> np.ndarray:
     return found
 
 
-def matrix(document: dict, key: str, shape: tuple, source: str) -> np.ndarray:
+def matrix(document: dict[str, Any], key: str, shape: tuple[int | None, int | None],
+           source: str) -> np.ndarray:
     """
     Return a matrix {rows, cols, data} of the document.
 

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -65,8 +67,9 @@ def grid_scene(columns: int, rows: int, square_m: float, gap_m: float, margin_m:
     return Scene(surfaces)
 
 
-def view_of_grid(points: np.ndarray, distance_m: float, turn_rad=(0.0, 0.0, 0.0),
-                 shift_m=(0.0, 0.0), inside: bool = True) -> np.ndarray:
+def view_of_grid(points: np.ndarray, distance_m: float,
+                 turn_rad: Sequence[float] = (0.0, 0.0, 0.0),
+                 shift_m: tuple[float, float] = (0.0, 0.0), inside: bool = True) -> np.ndarray:
     """
     Pose of a camera that looks into the fold, or at it from outside.
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -35,8 +36,9 @@ _PLACES = ((-0.25, -0.22, 1.1), (0.25, -0.22, 0.95), (-0.25, 0.22, 1.0), (0.25, 
            (0.0, 0.0, 1.3), (0.0, -0.25, 1.15))
 
 
-def cut_camera(focal_px: float = 700.0, aspect: float = 1.0, offset=(10.0, -4.0),
-               size: tuple[int, int] = (640, 480)) -> Camera:
+def cut_camera(focal_px: float = 700.0, aspect: float = 1.0,
+               offset: tuple[float, float] = (10.0, -4.0), size: tuple[int, int] = (640, 480),
+               ) -> Camera:
     """
     Camera whose principal point lies off the middle of the image.
 
@@ -66,7 +68,7 @@ def _middle_ray(camera: Camera) -> np.ndarray:
 
 def _inside(xy: np.ndarray, camera: Camera) -> np.ndarray:
     """Mark the points that lie in the image."""
-    return np.all((xy >= 0) & (xy <= [camera.width - 1, camera.height - 1]), axis=1)
+    return np.asarray(np.all((xy >= 0) & (xy <= [camera.width - 1, camera.height - 1]), axis=1))
 
 
 def random_turns(rng: np.random.Generator, views: int, largest_deg: float) -> np.ndarray:
@@ -110,7 +112,7 @@ def general_views(rng: np.random.Generator, camera: Camera, views: int = 4, poin
                    outliers=sequence.outliers[inside])
 
 
-def equal_objects(rng: np.random.Generator, camera: Camera, turns_deg, points: int = 40,
+def equal_objects(rng: np.random.Generator, camera: Camera, turns_deg: ArrayLike, points: int = 40,
                   noise_px: float = 0.1, farness: float = 1.0) -> Tracks:
     """
     See equal solids in one image.

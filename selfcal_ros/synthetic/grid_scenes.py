@@ -22,6 +22,7 @@ the grid stays in the middle of the image (4.2.1). Positions are not printed in 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -59,11 +60,12 @@ def grid_points() -> np.ndarray:
     half = np.sqrt(0.5)
     planes = [np.column_stack([sign * half * out, along, half * out]) for sign in (-1, 1)]
     points = np.vstack(planes)
-    return points - [0, 0, points[:, 2].mean()]
+    return np.asarray(points - [0, 0, points[:, 2].mean()])
 
 
-def grid_sequence(rng, rotations_deg, noise_px: float = CORNER_NOISE_PX, camera=None,
-                  baseline=BASELINE) -> PointSequence:
+def grid_sequence(rng: np.random.Generator, rotations_deg: ArrayLike,
+                  noise_px: float = CORNER_NOISE_PX, camera: Camera | None = None,
+                  baseline: ArrayLike = BASELINE) -> PointSequence:
     """
     Two translated views and one view for each of the rotations.
 
@@ -96,7 +98,7 @@ def grid_sequence(rng, rotations_deg, noise_px: float = CORNER_NOISE_PX, camera=
     return observe(rng, camera, poses, grid_points(), noise_px)
 
 
-def random_rotations(rng, count: int, size: str = '10') -> np.ndarray:
+def random_rotations(rng: np.random.Generator, count: int, size: str = '10') -> np.ndarray:
     """
     Rotations of one sequence of section 4.2.1, degrees, in the camera's axes.
 
@@ -116,7 +118,7 @@ def random_rotations(rng, count: int, size: str = '10') -> np.ndarray:
     """
     if size in ('x', 'y', 'z'):
         angle = rng.uniform(5, 15, count) * rng.choice([-1, 1], count)
-        return angle[:, None] * np.eye(3)['xyz'.index(size)]
+        return np.asarray(angle[:, None] * np.eye(3)['xyz'.index(size)])
     signs = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
     signs = signs[(rng.integers(4) + np.arange(count)) % 4]
     if size == '5':

@@ -21,10 +21,12 @@ its sigmas on each, or refuse.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -40,48 +42,55 @@ NOISE_PX = 0.2
 VIEWS, POINTS = 12, 300
 
 
-def s_curve(views: int = VIEWS, turn_deg: float = 30.0, step_m: float = 0.2):
+def s_curve(views: int = VIEWS, turn_deg: float = 30.0, step_m: float = 0.2,
+            ) -> tuple[np.ndarray, np.ndarray]:
     """Heading (V,) in radians and position (V, 2) of a drive to the left, then to the right."""
     heading = np.radians(np.interp(np.linspace(0, 1, views), [0, 0.5, 1], [0, turn_deg, 0]))
     return heading, _driven(heading, step_m)
 
 
-def one_curve(views: int = VIEWS, turn_deg: float = 30.0, step_m: float = 0.2):
+def one_curve(views: int = VIEWS, turn_deg: float = 30.0, step_m: float = 0.2,
+              ) -> tuple[np.ndarray, np.ndarray]:
     """Heading and position of a drive along one circle."""
     heading = np.radians(np.linspace(0, turn_deg, views))
     middle = heading - heading[1] / 2       # the chords of a circle, not a polygon of tangents
     return heading, _driven(middle, step_m)
 
 
-def on_the_spot(views: int = VIEWS, turn_deg: float = 60.0, radius_m: float = 0.1):
+def on_the_spot(views: int = VIEWS, turn_deg: float = 60.0, radius_m: float = 0.1,
+                ) -> tuple[np.ndarray, np.ndarray]:
     """Heading and position of a camera that is carried around a vertical axis."""
     heading = np.radians(np.linspace(0, turn_deg, views))
     return heading, radius_m * np.column_stack([np.cos(heading), np.sin(heading)])
 
 
-def straight(views: int = VIEWS, course_deg: float = 0.0, step_m: float = 0.2):
+def straight(views: int = VIEWS, course_deg: float = 0.0, step_m: float = 0.2,
+             ) -> tuple[np.ndarray, np.ndarray]:
     """Heading and position of a drive without a turn."""
     course = np.radians(course_deg)
     return np.zeros(views), np.arange(views)[:, None] * step_m * np.array([np.cos(course),
                                                                            np.sin(course)])
 
 
-def _driven(heading, step_m):
+def _driven(heading: np.ndarray, step_m: float) -> np.ndarray:
     steps = step_m * np.column_stack([np.cos(heading), np.sin(heading)])
-    return np.cumsum(steps, axis=0) - steps[0]
+    return np.asarray(np.cumsum(steps, axis=0) - steps[0])
 
 
-def vehicle(rng, path, pitch_deg: float = 20.0, **options) -> PointSequence:
+def vehicle(rng: np.random.Generator, path: tuple[np.ndarray, np.ndarray], pitch_deg: float = 20.0,
+            **options: Any) -> PointSequence:
     """Carry the camera along a path of heading and position, pitched down."""
     return scene(rng, planar_poses(pitched_mount(np.radians(pitch_deg)), *path), **options)
 
 
-def about_axis(rng, axis, path, **options) -> PointSequence:
+def about_axis(rng: np.random.Generator, axis: ArrayLike, path: tuple[np.ndarray, np.ndarray],
+               **options: Any) -> PointSequence:
     """Move in a plane whose normal is `axis` in the camera frame."""
     return scene(rng, planar_poses(mount_from_axis(axis), *path), **options)
 
 
-def hand(rng, turns_deg, shift_m: float = 0.3, **options) -> PointSequence:
+def hand(rng: np.random.Generator, turns_deg: ArrayLike, shift_m: float = 0.3, **options: Any,
+         ) -> PointSequence:
     """Turn the camera by rotation vectors (V, 3), and move it at random."""
     turns = np.radians(np.asarray(turns_deg, float))
     R = rotation_matrix(turns)
@@ -89,8 +98,11 @@ def hand(rng, turns_deg, shift_m: float = 0.3, **options) -> PointSequence:
     return scene(rng, np.concatenate([R, -R @ centres[:, :, None]], axis=2), **options)
 
 
-def scene(rng, poses, camera: Camera = CAMERA, count: int = POINTS, depth_m=(1.5, 12.0),
-          noise_px: float = NOISE_PX, pixels=None, surface=None, seen=None) -> PointSequence:
+def scene(rng: np.random.Generator, poses: np.ndarray, camera: Camera = CAMERA,
+          count: int = POINTS, depth_m: tuple[float, float] = (1.5, 12.0),
+          noise_px: float = NOISE_PX, pixels: tuple[float, float, float, float] | None = None,
+          surface: Callable[[np.ndarray], np.ndarray] | None = None,
+          seen: Callable[[int, int], np.ndarray] | None = None) -> PointSequence:
     """
     Observe points that lie before the cameras.
 
@@ -129,23 +141,23 @@ def scene(rng, poses, camera: Camera = CAMERA, count: int = POINTS, depth_m=(1.5
                    seen=None if seen is None else seen(len(poses), count))
 
 
-def ground(points):
+def ground(points: np.ndarray) -> np.ndarray:
     """Drop points onto a floor, 1.2 m below the camera."""
     return np.column_stack([points[:, :2], np.full(len(points), -1.2)])
 
 
-def wall(points):
+def wall(points: np.ndarray) -> np.ndarray:
     """Move points onto a wall across the first view's course, 4 m ahead."""
     return np.column_stack([np.full(len(points), 4.0), points[:, 1:]])
 
 
-def corner(points):
+def corner(points: np.ndarray) -> np.ndarray:
     """Put one half of the points on a wall and the other on the floor."""
     half = np.arange(len(points)) % 2 == 0
     return np.where(half[:, None], wall(points), ground(points))
 
 
-def on_cylinder(points, radius_m: float = 2.0):
+def on_cylinder(points: np.ndarray, radius_m: float = 2.0) -> np.ndarray:
     """
     Move points onto the upright cylinder through a circular path of that radius.
 
@@ -157,8 +169,8 @@ def on_cylinder(points, radius_m: float = 2.0):
     return np.column_stack([centre + away, points[:, 2]])
 
 
-def with_mover(sequence: PointSequence, rng, share: float, step_m=(0.05, -0.08, 0.02),
-               ) -> PointSequence:
+def with_mover(sequence: PointSequence, rng: np.random.Generator, share: float,
+               step_m: Sequence[float] = (0.05, -0.08, 0.02)) -> PointSequence:
     """Let a share of the points belong to a body that moves on its own, from view to view."""
     moving = rng.uniform(size=len(sequence.points)) < share
     tracks, camera = sequence.tracks, sequence.camera
@@ -171,7 +183,7 @@ def with_mover(sequence: PointSequence, rng, share: float, step_m=(0.05, -0.08, 
     return _keeping(sequence, xy, np.isfinite(xy).all(axis=1))
 
 
-def with_dirt(sequence: PointSequence, rng, share: float) -> PointSequence:
+def with_dirt(sequence: PointSequence, rng: np.random.Generator, share: float) -> PointSequence:
     """Let a share of the tracks stay where they are in the image, as dirt on the lens does."""
     tracks = sequence.tracks
     dirty = rng.uniform(size=len(sequence.points)) < share
@@ -183,7 +195,7 @@ def with_dirt(sequence: PointSequence, rng, share: float) -> PointSequence:
     return _keeping(sequence, xy, np.ones(len(xy), bool))
 
 
-def rolled(sequence: PointSequence, rng, readout: float) -> PointSequence:
+def rolled(sequence: PointSequence, rng: np.random.Generator, readout: float) -> PointSequence:
     """
     Expose the rows of each image one after the other, over a share of the time between images.
 
@@ -195,8 +207,9 @@ def rolled(sequence: PointSequence, rng, readout: float) -> PointSequence:
     following = np.clip(tracks.frame + np.where(late > 0, 1, -1), 0, len(poses) - 1)
     X = sequence.points[tracks.track]
 
-    def seen(frame):
-        return np.einsum('nij,nj->ni', poses[frame][:, :, :3], X) + poses[frame][:, :, 3]
+    def seen(frame: np.ndarray) -> np.ndarray:
+        turned: np.ndarray = np.einsum('nij,nj->ni', poses[frame][:, :, :3], X)
+        return np.asarray(turned + poses[frame][:, :, 3])
 
     blend = np.abs(late)[:, None]
     xy = camera.project((1 - blend) * seen(tracks.frame) + blend * seen(following))
@@ -204,23 +217,23 @@ def rolled(sequence: PointSequence, rng, readout: float) -> PointSequence:
     return _keeping(sequence, xy, np.isfinite(xy).all(axis=1))
 
 
-def bumpy(rng, tilt_deg: float, **options) -> PointSequence:
+def bumpy(rng: np.random.Generator, tilt_deg: float, **options: Any) -> PointSequence:
     """Drive an S over uneven ground."""
     poses = planar_poses(pitched_mount(np.radians(20)), *s_curve())
     shake = rotation_matrix(np.radians(tilt_deg) * rng.standard_normal((len(poses), 3)))
     return scene(rng, shake @ poses, **options)
 
 
-def short_tracks(rng, length: int):
+def short_tracks(rng: np.random.Generator, length: int) -> Callable[[int, int], np.ndarray]:
     """Restrict every point to so many successive views."""
-    def seen(views, points):
+    def seen(views: int, points: int) -> np.ndarray:
         first = rng.integers(0, views - length + 1, points)
         view = np.arange(views)[:, None]
         return (view >= first) & (view < first + length)
     return seen
 
 
-def _keeping(sequence, xy, kept) -> PointSequence:
+def _keeping(sequence: PointSequence, xy: np.ndarray, kept: np.ndarray) -> PointSequence:
     tracks = sequence.tracks
     return PointSequence(Tracks(tracks.frame[kept], tracks.track[kept], xy[kept],
                                 tracks.image_size),
@@ -228,21 +241,22 @@ def _keeping(sequence, xy, kept) -> PointSequence:
                          sequence.axis, sequence.true_pixels, np.zeros(int(kept.sum()), bool))
 
 
-def _lens(focal_px: float = 520, distortion=(-0.05, 0.01, 0, 0)) -> Camera:
+def _lens(focal_px: float = 520, distortion: Sequence[float] = (-0.05, 0.01, 0, 0)) -> Camera:
     K = np.array([[focal_px, 0, 328], [0, focal_px, 235], [0, 0, 1]])
     return Camera(K, distortion, 640, 480)
 
 
-def _drive_with(change, *arguments) -> Callable:
+def _drive_with(change: Callable[..., PointSequence], *arguments: float,
+                ) -> Callable[[np.random.Generator], PointSequence]:
     return lambda rng: change(vehicle(rng, s_curve()), rng, *arguments)
 
 
-def _turns(axis, size_deg: float = 12.0, views: int = 6):
-    return np.outer(size_deg * np.sin(1.7 * np.arange(views) + 0.3), axis)
+def _turns(axis: ArrayLike, size_deg: float = 12.0, views: int = 6) -> np.ndarray:
+    return np.outer(size_deg * np.sin(1.7 * np.arange(views) + 0.3), np.asarray(axis))
 
 
 #: Every sequence by name: a function of a random generator.
-HARD_SCENES: dict[str, Callable] = {
+HARD_SCENES: dict[str, Callable[[np.random.Generator], PointSequence]] = {
     'S-curve, level camera': partial(vehicle, path=s_curve(), pitch_deg=0),
     'S-curve, camera 1 degree down': partial(vehicle, path=s_curve(), pitch_deg=1),
     'S-curve of 2 degrees': partial(vehicle, path=s_curve(turn_deg=2)),

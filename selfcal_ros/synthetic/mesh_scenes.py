@@ -21,6 +21,7 @@ by their normals; so fine a mesh has the outline of the smooth part.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -33,12 +34,16 @@ from selfcal_ros.synthetic.render import quantise
 #: Samples along each side of a pixel, and bits of the fractions of the drawn corners.
 _SAMPLES, _BITS = 8, 4
 
+#: Of points, x, y and z: the rows of an array, or three arrays.
+_Coordinates: TypeAlias = np.ndarray | tuple[np.ndarray, np.ndarray, np.ndarray]
 
-def _grid(rows: int, columns: int, place: Callable, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+
+def _grid(rows: int, columns: int, place: Callable[[np.ndarray, np.ndarray], _Coordinates],
+          closed: bool) -> tuple[np.ndarray, np.ndarray]:
     """Triangles over a grid that closes around its columns, and around its rows if `closed`."""
     v, u = np.meshgrid(np.arange(rows) / (rows - (not closed)), np.arange(columns) / columns,
                        indexing='ij')
-    vertices = np.stack(place(u * 2 * np.pi, v), axis=-1).reshape(-1, 3)
+    vertices = np.stack(list(place(u * 2 * np.pi, v)), axis=-1).reshape(-1, 3)
     r, c = np.meshgrid(np.arange(rows - (not closed)), np.arange(columns), indexing='ij')
     a, b = r * columns + c, r * columns + (c + 1) % columns
     d, e = (r + 1) % rows * columns + c, (r + 1) % rows * columns + (c + 1) % columns
@@ -48,12 +53,12 @@ def _grid(rows: int, columns: int, place: Callable, closed: bool) -> tuple[np.nd
 
 def bean(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Make a smooth lump without any edge: vertices (V, 3) metres, triangles (F, 3)."""
-    def place(u, v):
+    def place(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         angle = np.pi * v
         way = np.array([np.sin(angle) * np.cos(u), np.sin(angle) * np.sin(u), np.cos(angle)])
         radius = 0.36 + 0.08 * way[0] * way[1] + 0.1 * way[2] * way[0] - 0.07 * way[1]**2 \
             + 0.06 * way[2]**3
-        return size_m * radius * way * np.array([1.3, 1.0, 0.8])[:, None, None]
+        return np.asarray(size_m * radius * way * np.array([1.3, 1.0, 0.8])[:, None, None])
 
     vertices, triangles = _grid(48, 72, place, False)
     return vertices, triangles[:, ::-1]
@@ -61,7 +66,7 @@ def bean(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
 
 def ring(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Make a ring that is thicker and higher on one side."""
-    def place(u, v):
+    def place(u: np.ndarray, v: np.ndarray) -> _Coordinates:
         around = 2 * np.pi * v
         thick = size_m * (0.13 + 0.06 * np.cos(u) + 0.02 * np.sin(2 * u))
         radius = 0.36 * size_m + thick * np.cos(around)
@@ -73,7 +78,7 @@ def ring(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
 
 def handle(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Make a turned knob with a bent axis, with flat ends: two creases."""
-    def place(u, v):
+    def place(u: np.ndarray, v: np.ndarray) -> _Coordinates:
         profile = size_m * (0.2 + 0.09 * np.cos(5 * v) - 0.05 * np.sin(9 * v))
         profile = np.where((v == 0) | (v == 1), 0.0, profile)
         height = np.clip((v - 1 / 47) / (45 / 47), 0, 1)
@@ -107,7 +112,7 @@ class MeshRenderer:
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, camera: Camera,
                  rng: np.random.Generator | None = None, textured: bool = False,
-                 behind: np.ndarray | None = None):
+                 behind: np.ndarray | None = None) -> None:
         """Paint the background and the faces."""
         if not camera.is_pinhole:
             raise ArgumentError('Meshes are drawn by cameras without distortion only.')
@@ -130,7 +135,8 @@ class MeshRenderer:
         if behind is not None:
             self._background = behind
 
-    def render(self, pose: np.ndarray, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
+    def render(self, pose: np.ndarray, rng: np.random.Generator | None = None,
+               noise_sigma: float = 0.0) -> np.ndarray:
         """
         Draw the part at a pose (3, 4), object to camera; noise needs an rng.
 

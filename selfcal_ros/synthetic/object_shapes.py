@@ -15,9 +15,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from selfcal_ros.synthetic.render import PYRAMID_LEVELS, Surface
@@ -44,14 +46,14 @@ class SolidObject:
     """
 
     model: WireframeModel
-    surfaces: list
+    surfaces: list[Surface]
 
 
 @dataclass(frozen=True)
 class Disc:
     """A round marking: centre (u, v) and radius in metres on the face, and its grey level."""
 
-    centre: tuple
+    centre: tuple[float, float]
     radius_m: float
     grey: float
 
@@ -60,8 +62,8 @@ class Disc:
 class Patch:
     """A rectangular marking: low and high corner (u, v) in metres, and its grey level."""
 
-    low: tuple
-    high: tuple
+    low: tuple[float, float]
+    high: tuple[float, float]
     grey: float
 
 
@@ -70,7 +72,8 @@ _BOX_FACES = ((1, 3, 7, 5), (2, 0, 4, 6), (3, 2, 6, 7), (0, 1, 5, 4), (4, 5, 7, 
 _BOX_GREYS = (175, 150, 95, 80, 225, 45)
 
 
-def cube(side_m: float = 0.084, rng=None, clutter: float = 0.0) -> SolidObject:
+def cube(side_m: float = 0.084, rng: np.random.Generator | None = None, clutter: float = 0.0,
+         ) -> SolidObject:
     """
     Make a cube with a rectangle on the faces +x and -x and a disc on +y, -y and the top.
 
@@ -113,7 +116,8 @@ def cube(side_m: float = 0.084, rng=None, clutter: float = 0.0) -> SolidObject:
     return SolidObject(model, surfaces)
 
 
-def step_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
+def step_block(size_m: float = 0.1, rng: np.random.Generator | None = None, clutter: float = 0.0,
+               ) -> SolidObject:
     """
     Make a block with a step: a concave prism that hides parts of its own edges.
 
@@ -133,7 +137,8 @@ def step_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObje
                     clutter)
 
 
-def l_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
+def l_block(size_m: float = 0.1, rng: np.random.Generator | None = None, clutter: float = 0.0,
+            ) -> SolidObject:
     """
     Make a letter L of unequal arms, each a quarter of the length thick.
 
@@ -153,7 +158,8 @@ def l_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
                     rng, clutter)
 
 
-def box(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
+def box(size_m: float = 0.1, rng: np.random.Generator | None = None, clutter: float = 0.0,
+        ) -> SolidObject:
     """
     Make a box of sides 1 : 0.8 : 0.6 with plain faces.
 
@@ -174,7 +180,8 @@ def box(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
     return SolidObject(WireframeModel.build(vertices, (), faces, name='box'), surfaces)
 
 
-def _l_prism(name, length, height, width, upright, foot, rng, clutter):
+def _l_prism(name: str, length: float, height: float, width: float, upright: float, foot: float,
+             rng: np.random.Generator | None, clutter: float) -> SolidObject:
     """Make a prism of L-shaped outline: an upright on a foot, so thick, metres."""
     x, z, w = length / 2, height / 2, width / 2
     inner = upright - x, foot - z
@@ -184,8 +191,8 @@ def _l_prism(name, length, height, width, upright, foot, rng, clutter):
     back = front * [1, -1, 1]
     vertices = np.concatenate([front, back])
     greys = (40, 165, 225, 130, 235, 120)
-    faces, surfaces = [Polygon(range(count), 'front'),
-                       Polygon(range(2 * count - 1, count - 1, -1), 'back')], []
+    faces, surfaces = [Polygon(tuple(range(count)), 'front'),
+                       Polygon(tuple(range(2 * count - 1, count - 1, -1)), 'back')], []
     for k, grey in enumerate(greys):
         following = (k + 1) % count
         corners = (k, k + count, following + count, following)
@@ -195,12 +202,13 @@ def _l_prism(name, length, height, width, upright, foot, rng, clutter):
     for points, grey, order in ((front, 80, 1), (back, 95, -1)):
         y = points[0, 1]
         for (x0, z0), (x1, z1) in (((-x, -z), (x, inner[1])), ((-x, inner[1]), (inner[0], z))):
-            corners = np.array([(x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1)])
-            surfaces.append(_facet(corners[::order], grey))
+            around = np.array([(x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1)])
+            surfaces.append(_facet(around[::order], grey))
     return SolidObject(WireframeModel.build(vertices, (), faces, name=name), surfaces)
 
 
-def spool(width_m: float = 0.09, rng=None, clutter: float = 0.0) -> SolidObject:
+def spool(width_m: float = 0.09, rng: np.random.Generator | None = None, clutter: float = 0.0,
+          ) -> SolidObject:
     """
     Make a round post between two square plates: silhouettes, circles, and much that is hidden.
 
@@ -234,7 +242,9 @@ def spool(width_m: float = 0.09, rng=None, clutter: float = 0.0) -> SolidObject:
 SHAPES = {'cube': cube, 'step_block': step_block, 'spool': spool, 'box': box, 'l_block': l_block}
 
 
-def _box(low, high, greys, marks, rng, clutter):
+def _box(low: ArrayLike, high: ArrayLike, greys: Sequence[float],
+         marks: Mapping[int, Sequence[Patch | Disc]], rng: np.random.Generator | None,
+         clutter: float) -> tuple[np.ndarray, list[Polygon], list[Surface]]:
     """Vertices (8, 3), faces and surfaces of a box."""
     bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
     vertices = np.where(bits, high, low).astype(float)
@@ -243,7 +253,7 @@ def _box(low, high, greys, marks, rng, clutter):
     return vertices, [Polygon(corners) for corners in _BOX_FACES], surfaces
 
 
-def _tube(start, end, radius):
+def _tube(start: np.ndarray, end: np.ndarray, radius: float) -> list[Surface]:
     """Facets of an upright round post; darker on one side, without steps."""
     # half the facets' depth outside the true radius, half inside
     angles = (np.arange(FACETS + 1) - 0.5) * 2 * np.pi / FACETS
@@ -258,10 +268,11 @@ def _tube(start, end, radius):
     return surfaces
 
 
-def _facet(corners, grey, marks=(), rng=None, clutter=0.0):
+def _facet(corners: np.ndarray, grey: float, marks: Sequence[Patch | Disc] = (),
+           rng: np.random.Generator | None = None, clutter: float = 0.0) -> Surface:
     """Make a surface of four corners, counter-clockwise from outside."""
     origin, edge_u, edge_v = corners[0], corners[1] - corners[0], corners[3] - corners[0]
-    size = np.linalg.norm(edge_u), np.linalg.norm(edge_v)
+    size = float(np.linalg.norm(edge_u)), float(np.linalg.norm(edge_v))
     unit = 2 ** (PYRAMID_LEVELS - 1)
     if rng is None and not marks:
         return Surface(origin, edge_u, edge_v, np.full((2 * unit, 2 * unit), float(grey)))
@@ -275,7 +286,8 @@ def _facet(corners, grey, marks=(), rng=None, clutter=0.0):
     return Surface(origin, edge_u, edge_v, np.clip(canvas, 0, 255))
 
 
-def _fabric(rng, shape, size, clutter):
+def _fabric(rng: np.random.Generator, shape: tuple[int, ...], size: tuple[float, float],
+            clutter: float) -> np.ndarray:
     """Slight unevenness of a face, and markings that the model does not know."""
     uneven = ndimage.gaussian_filter(rng.normal(size=shape), 6)
     uneven *= 2.0 / max(uneven.std(), 1e-9)
@@ -283,18 +295,18 @@ def _fabric(rng, shape, size, clutter):
         style = Style(texel_m=_TEXEL_M, smallest_m=0.03 * min(size), largest_m=0.2 * min(size),
                       cover=0.5, contrast=60.0 * clutter)
         uneven = uneven + texture(rng, *size, style, 0.0 + 128)[:shape[0], :shape[1]] - 128
-    return uneven
+    return np.asarray(uneven)
 
 
-def _cover(mark, columns, rows, size):
+def _cover(mark: Patch | Disc, columns: int, rows: int, size: tuple[float, float]) -> np.ndarray:
     """Share of each texel that a marking covers, (rows, columns)."""
     texel_u, texel_v = size[0] / columns, size[1] / rows
     u = (np.arange(columns) + 0.5) * texel_u
     v = (np.arange(rows) + 0.5) * texel_v
     if isinstance(mark, Disc):
         distance = np.hypot(u - mark.centre[0], (v - mark.centre[1])[:, None])
-        return np.clip(0.5 - (distance - mark.radius_m) / texel_u, 0, 1)
+        return np.asarray(np.clip(0.5 - (distance - mark.radius_m) / texel_u, 0, 1))
     (u0, v0), (u1, v1) = mark.low, mark.high
     across = np.clip(np.minimum(u + texel_u / 2, u1) - np.maximum(u - texel_u / 2, u0), 0, None)
     down = np.clip(np.minimum(v + texel_v / 2, v1) - np.maximum(v - texel_v / 2, v0), 0, None)
-    return down[:, None] * across / (texel_u * texel_v)
+    return np.asarray(down[:, None] * across / (texel_u * texel_v))

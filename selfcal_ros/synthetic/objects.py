@@ -20,7 +20,9 @@ the same rays as a whole image would have.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +32,7 @@ from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.object_shapes import cube, SHAPES, SolidObject, spool, step_block
 from selfcal_ros.synthetic.paths import look_at
 from selfcal_ros.synthetic.recordings import default_camera, FIRST_STAMP_NS, Recording
-from selfcal_ros.synthetic.render import quantise, Renderer, Scene
+from selfcal_ros.synthetic.render import quantise, Renderer, Scene, Surface
 from selfcal_ros.synthetic.worlds import rectangle, Style
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -87,12 +89,13 @@ class ObjectRecording(Recording):
         """Return a renderer of this sequence; keep it, it holds the background."""
         return _WindowRenderer(self, supersampling or self.supersampling)
 
-    def frame(self, index: int, renderer=None) -> np.ndarray:
+    def frame(self, index: int,  # type: ignore[override]
+              renderer: _WindowRenderer | None = None) -> np.ndarray:
         """Render image `index` as in `Recording.frame`, (height, width) uint8."""
         grey = (renderer or self.renderer()).intensity_of(index)
         return quantise(grey, np.random.default_rng([self.seed, index]), self.noise_sigma)
 
-    def truth(self) -> dict:
+    def truth(self) -> dict[str, Any]:
         """Return camera, poses, object and recipe as plain values for JSON."""
         truth = super().truth()
         truth['object'] = self.model.name if self.model else None
@@ -105,12 +108,12 @@ class ObjectRecording(Recording):
 class _WindowRenderer:
     """Renders images of an `ObjectRecording`; keeps what does not change."""
 
-    def __init__(self, recording, supersampling):
+    def __init__(self, recording: ObjectRecording, supersampling: int) -> None:
         self._recording, self._samples = recording, supersampling
         self._scene = Scene(recording.surfaces)
-        self._static = {}
+        self._static: dict[float, np.ndarray] = {}
 
-    def intensity_of(self, index):
+    def intensity_of(self, index: int) -> np.ndarray:
         """Grey levels of image `index` as reals, (height, width)."""
         recording = self._recording
         camera, poses = recording.camera_at(index), recording.poses(index)
@@ -126,21 +129,23 @@ class _WindowRenderer:
             window = Camera(K, camera.distortion, right - left, bottom - top, camera.model)
             image[top:bottom, left:right] = Renderer(
                 self._scene, window, self._samples).intensity(poses)
-        return image
+        return np.asarray(image)
 
-    def _background(self, camera, poses):
+    def _background(self, camera: Camera, poses: np.ndarray) -> np.ndarray:
         """Render what does not move, without the object."""
         still = [surface for surface in self._recording.surfaces if surface.body]
         if poses.ndim == 2 or not still:
             return np.full((camera.height, camera.width), 0.0)
         return Renderer(Scene(still), camera, self._samples).intensity(poses)
 
-    def _window(self, camera, poses):
+    def _window(self, camera: Camera, poses: np.ndarray) -> tuple[int, int, int, int]:
         """Pixels (left, top, right, bottom) around the object."""
+        model = self._recording.model
+        assert model is not None
         pose = poses[0] if poses.ndim == 3 else poses
-        points = self._recording.model.extent @ pose[:, :3].T + pose[:, 3]
+        points = model.extent @ pose[:, :3].T + pose[:, 3]
         if camera.lens.is_perspective:
-            if points[:, 2].min() < 0.05 * self._recording.model.diameter_m:
+            if points[:, 2].min() < 0.05 * model.diameter_m:
                 return 0, 0, camera.width, camera.height
         else:
             # the image of an edge bulges: what is between the corners counts, too
@@ -198,10 +203,11 @@ def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 5
 
 
 def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: str = 'general',
-                   size=(640, 480), camera: Camera | None = None, distortion=(),
-                   zoom_px: tuple | None = None, clutter: float = 0.0, background: bool = True,
-                   noise_sigma: float = 1.0, speed: float = 1.0, rate_hz: float = 30.0,
-                   supersampling: int = 3, seed: int = 4) -> ObjectRecording:
+                   size: tuple[int, int] = (640, 480), camera: Camera | None = None,
+                   distortion: Sequence[float] = (), zoom_px: tuple[float, float] | None = None,
+                   clutter: float = 0.0, background: bool = True, noise_sigma: float = 1.0,
+                   speed: float = 1.0, rate_hz: float = 30.0, supersampling: int = 3,
+                   seed: int = 4) -> ObjectRecording:
     """
     Move a known object before a fixed camera.
 
@@ -266,7 +272,7 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
                            focal_px=focal, supersampling=supersampling)
 
 
-def _wall(rng, camera, depth, focal):
+def _wall(rng: np.random.Generator, camera: Camera, depth: float, focal: float) -> Surface:
     """Fill the view at a depth with a wall of shapes 4 to 60 pixels large; body 1."""
     pixel = depth / focal
     width, height = 1.6 * camera.width * pixel, 1.6 * camera.height * pixel
@@ -282,7 +288,8 @@ def _wall(rng, camera, depth, focal):
                      [width, 0, 0], [0, -height, 0], style, 125.0, body=1)
 
 
-def perturbed(rotation, translation, rng, angle_rad: float, offset_m: float):
+def perturbed(rotation: np.ndarray, translation: np.ndarray, rng: np.random.Generator,
+              angle_rad: float, offset_m: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Disturb a pose: a guess to start a tracker with.
 
@@ -305,7 +312,8 @@ def perturbed(rotation, translation, rng, angle_rad: float, offset_m: float):
     return turn @ rotation, translation + offset_m * direction / np.linalg.norm(direction)
 
 
-def pose_errors(rotation, translation, true_rotation, true_translation):
+def pose_errors(rotation: np.ndarray, translation: np.ndarray, true_rotation: np.ndarray,
+                true_translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Differences between poses.
 

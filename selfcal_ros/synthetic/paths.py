@@ -16,14 +16,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 # base frame x forward, y left, z up (REP 103) to optical frame x right, y down, z forward
 _OPTICAL_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-def drive_path(count: int, length_m: float = 3.2, left_deg: float = 65.0,
-               right_deg: float = 55.0, start_deg: float = -25.0):
+def drive_path(count: int, length_m: float = 3.2, left_deg: float = 65.0, right_deg: float = 55.0,
+               start_deg: float = -25.0) -> tuple[np.ndarray, np.ndarray]:
     """
     Sample an S-shaped path: a turn to the left, then one to the right.
 
@@ -62,8 +63,8 @@ def drive_path(count: int, length_m: float = 3.2, left_deg: float = 65.0,
             np.interp(at, s, heading))
 
 
-def planar_poses(xy, heading_rad, height_m: float, ahead_m: float, pitch_deg: float,
-                 roll_deg: float = 0.0) -> np.ndarray:
+def planar_poses(xy: np.ndarray, heading_rad: np.ndarray, height_m: float, ahead_m: float,
+                 pitch_deg: float, roll_deg: float = 0.0) -> np.ndarray:
     """
     Poses of a camera fixed to a vehicle on a plane.
 
@@ -95,12 +96,12 @@ def planar_poses(xy, heading_rad, height_m: float, ahead_m: float, pitch_deg: fl
     return np.concatenate([R, -R @ centre[:, :, None]], axis=2)
 
 
-def look_at(centre, target, up=(0.0, 0.0, 1.0)) -> np.ndarray:
+def look_at(centre: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
     """Pose (3, 4) of a camera at `centre` whose optical axis passes through `target`."""
     centre = np.asarray(centre, float)
     z = np.asarray(target, float) - centre
     z /= np.linalg.norm(z)
-    x = np.cross(z, up)
+    x = np.cross(z, np.asarray(up, float))
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(z, x), z])
     return np.column_stack([R, -R @ centre])

@@ -15,11 +15,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -80,17 +82,17 @@ class Recording:
     camera: Camera
     cam_from_world: np.ndarray
     stamps_ns: np.ndarray
-    surfaces: list
+    surfaces: list[Surface]
     static_pose: np.ndarray | None = None
     noise_sigma: float = 1.0
     transmission: np.ndarray | None = None
     seed: int = 0
-    made: dict = field(default_factory=dict)
-    labels: tuple = ()
+    made: dict[str, Any] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
     circle_deg: float | None = None
     magnification: np.ndarray | None = None
 
-    def __len__(self):
+    def __len__(self) -> int:
         """Return the number of images."""
         return len(self.cam_from_world)
 
@@ -135,13 +137,13 @@ class Recording:
             grey = grey * self.transmission
         return quantise(grey, np.random.default_rng([self.seed, index]), self.noise_sigma)
 
-    def frames(self):
+    def frames(self) -> Iterator[tuple[np.ndarray, int]]:
         """Yield (image (height, width) uint8, stamp in ns) in order."""
         renderer = self.renderer()
         for index, stamp in enumerate(self.stamps_ns):
             yield self.frame(index, renderer), int(stamp)
 
-    def truth(self) -> dict:
+    def truth(self) -> dict[str, Any]:
         """Return camera, poses and recipe as plain values for JSON."""
         camera = self.camera
         return {
@@ -160,16 +162,16 @@ class Recording:
         }
 
 
-def default_camera(size=(640, 480), distortion=()) -> Camera:
+def default_camera(size: tuple[int, int] = (640, 480), distortion: Sequence[float] = ()) -> Camera:
     """Return the recordings' camera: f = 520, principal point (328, 235) at 640 x 480."""
     scale = size[0] / 640
     K = [[520 * scale, 0, 328.5 * scale - 0.5],
          [0, 520 * scale, (235.5 - 240) * scale + size[1] / 2 - 0.5], [0, 0, 1]]
-    return Camera(K, distortion, *size)
+    return Camera(np.array(K), distortion, *size)
 
 
-def agv_drive(views: int = 24, size=(640, 480), camera: Camera | None = None,
-              distortion=(), pitch_deg: float = 20.0, roll_deg: float = 0.0,
+def agv_drive(views: int = 24, size: tuple[int, int] = (640, 480), camera: Camera | None = None,
+              distortion: Sequence[float] = (), pitch_deg: float = 20.0, roll_deg: float = 0.0,
               height_m: float = 1.1, noise_sigma: float = 1.0, dirt: bool = False,
               rate_hz: float = 15.0, seed: int = 1) -> Recording:
     """
@@ -214,8 +216,9 @@ def agv_drive(views: int = 24, size=(640, 480), camera: Camera | None = None,
                      transmission=_dirt(camera, seed) if dirt else None)
 
 
-def arm_move(views: int = 24, size=(640, 480), camera: Camera | None = None, distortion=(),
-             noise_sigma: float = 1.0, rate_hz: float = 15.0, seed: int = 2) -> Recording:
+def arm_move(views: int = 24, size: tuple[int, int] = (640, 480), camera: Camera | None = None,
+             distortion: Sequence[float] = (), noise_sigma: float = 1.0, rate_hz: float = 15.0,
+             seed: int = 2) -> Recording:
     """
     Move a camera on an arm over a bench: translations, then rotations, then both.
 
@@ -270,10 +273,10 @@ def arm_move(views: int = 24, size=(640, 480), camera: Camera | None = None, dis
                      noise_sigma=noise_sigma, seed=seed, made=made, labels=tuple(labels))
 
 
-def turntable(views: int = 36, step_deg: float = 10.0, size=(640, 480),
-              camera: Camera | None = None, distortion=(), background: bool = True,
-              noise_sigma: float = 1.0, dirt: bool = False, rate_hz: float = 2.0,
-              seed: int = 3) -> Recording:
+def turntable(views: int = 36, step_deg: float = 10.0, size: tuple[int, int] = (640, 480),
+              camera: Camera | None = None, distortion: Sequence[float] = (),
+              background: bool = True, noise_sigma: float = 1.0, dirt: bool = False,
+              rate_hz: float = 2.0, seed: int = 3) -> Recording:
     """
     Turn objects before a fixed camera: circular motion.
 
@@ -330,7 +333,7 @@ def _turntable(seed: int) -> tuple[Surface, ...]:
     return tuple(worlds.turntable(np.random.default_rng([seed, 0])))
 
 
-def write_image_folder(recording: Recording, path) -> Path:
+def write_image_folder(recording: Recording, path: str | Path) -> Path:
     """
     Write the images as PNG files and the truth beside them.
 
@@ -359,29 +362,29 @@ def write_image_folder(recording: Recording, path) -> Path:
     return path
 
 
-def write_truth(recording: Recording, path) -> None:
+def write_truth(recording: Recording, path: str | Path) -> None:
     """Write `Recording.truth` to the JSON file `path`."""
     _replace(Path(path), (json.dumps(recording.truth()) + '\n').encode())
 
 
-def _replace(path, data):
+def _replace(path: Path, data: bytes) -> None:
     """Write a file in one step: a reader sees the old one or the new one."""
     temporary = path.with_name(path.name + '.part')
     temporary.write_bytes(data)
     os.replace(temporary, path)
 
 
-def _stamps(count, rate_hz):
-    return FIRST_STAMP_NS + np.rint(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
+def _stamps(count: int, rate_hz: float) -> np.ndarray:
+    return np.asarray(FIRST_STAMP_NS + np.rint(np.arange(count) * 1e9 / rate_hz).astype(np.int64))
 
 
-def _check_views(views, least=2):
+def _check_views(views: int, least: int = 2) -> None:
     if views < least:
         raise ArgumentError(f'A recording of this kind needs at least {least} views, '
                             f'not {views!r}.')
 
 
-def _dirt(camera, seed, count=6):
+def _dirt(camera: Camera, seed: int, count: int = 6) -> np.ndarray:
     """Transmission (height, width) of a lens with `count` blurred dark spots."""
     rng = np.random.default_rng([seed, 1])
     y, x = np.mgrid[:camera.height, :camera.width].astype(float)

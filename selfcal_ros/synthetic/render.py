@@ -25,7 +25,9 @@ pyramid of box-filtered textures.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -38,6 +40,9 @@ PYRAMID_LEVELS = 6
 _TILE = 48
 #: Surfaces are no nearer than this to a camera whose rows are read one after the other, metres.
 NEAREST_M = 0.3
+
+#: Rows and columns of a part of an image.
+_Slices: TypeAlias = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ class Scene:
 
     """
 
-    def __init__(self, surfaces):
+    def __init__(self, surfaces: Iterable[Surface]) -> None:
         """Stack the frames and build the pyramids."""
         surfaces = list(surfaces)
         if not surfaces:
@@ -108,7 +113,7 @@ class Scene:
                 length += level.size
         self._texels = np.concatenate(parts)
 
-    def look_up(self, surface: int, u, v, level):
+    def look_up(self, surface: int, u: np.ndarray, v: np.ndarray, level: np.ndarray) -> np.ndarray:
         """
         Sample one texture.
 
@@ -139,7 +144,7 @@ class Scene:
             value[blurred] += fraction[blurred] * (upper - value[blurred])
         return value
 
-    def _bilinear(self, surface: int, level: int, u, v):
+    def _bilinear(self, surface: int, level: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         width, height = self.sides[surface] >> level
         x = np.clip(u * width - 0.5, 0, width - 1)
         y = np.clip(v * height - 0.5, 0, height - 1)
@@ -152,7 +157,7 @@ class Scene:
         top = texels[first] * (1 - x) + texels[first + 1] * x
         first += width
         bottom = texels[first] * (1 - x) + texels[first + 1] * x
-        return top + y * (bottom - top)
+        return np.asarray(top + y * (bottom - top))
 
 
 class Renderer:
@@ -180,7 +185,7 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, camera: Camera, supersampling: int = 3,
-                 background: float = 0.0, circle_rad: float | None = None):
+                 background: float = 0.0, circle_rad: float | None = None) -> None:
         """Cut the image into tiles and compute their rays."""
         if camera.width < 1 or camera.height < 1:
             raise ArgumentError('The camera to render with needs its image size.')
@@ -191,7 +196,7 @@ class Renderer:
         boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r, _ in self._tiles]
         self._low, self._high = np.moveaxis(np.array(boxes), 1, 0)
 
-    def _cut(self):
+    def _cut(self) -> Iterator[tuple[_Slices, np.ndarray, np.ndarray]]:
         """Yield (slices, rays (3, N), step (3, 2)) for every tile, samples in raster order."""
         n = self._samples
         for top in range(0, self.camera.height, _TILE):
@@ -205,7 +210,7 @@ class Renderer:
                 rays = self._rays(pixels)
                 yield (rows, columns), rays, self._step(rays.reshape(3, len(y), len(x)))
 
-    def _rays(self, pixels):
+    def _rays(self, pixels: np.ndarray) -> np.ndarray:
         """Return the ray of every sample, shape (3, N), NaN where there is none."""
         if self.camera.lens.is_perspective:
             rays = np.ones((3, len(pixels)))
@@ -217,7 +222,7 @@ class Renderer:
             rays[:, ~(angle <= self._circle / 2)] = np.nan
         return rays
 
-    def _step(self, rays):
+    def _step(self, rays: np.ndarray) -> np.ndarray:
         """
         Return how the ray (3, rows, columns) changes from sample to sample, shape (3, 2).
 
@@ -234,7 +239,8 @@ class Renderer:
             steps.append(change[:, there].sum(axis=1) / max(there.sum(), 1))
         return np.stack(steps, axis=1)
 
-    def render(self, cam_from_world, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
+    def render(self, cam_from_world: np.ndarray, rng: np.random.Generator | None = None,
+               noise_sigma: float = 0.0) -> np.ndarray:
         """
         Render one image.
 
@@ -254,7 +260,7 @@ class Renderer:
         """
         return quantise(self.intensity(cam_from_world), rng, noise_sigma)
 
-    def intensity(self, cam_from_world) -> np.ndarray:
+    def intensity(self, cam_from_world: np.ndarray) -> np.ndarray:
         """Render without noise or rounding: grey levels as reals, shape (height, width)."""
         image = np.zeros((self.camera.height, self.camera.width))
         n = self._samples
@@ -264,7 +270,7 @@ class Renderer:
             image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
         return image
 
-    def rolling_intensity(self, pose_at) -> np.ndarray:
+    def rolling_intensity(self, pose_at: Callable[[float], np.ndarray]) -> np.ndarray:
         """
         Render rows that are read one after the other, without noise or rounding.
 
@@ -306,7 +312,7 @@ class Renderer:
                 image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
         return image
 
-    def depth(self, cam_from_world) -> np.ndarray:
+    def depth(self, cam_from_world: np.ndarray) -> np.ndarray:
         """
         Depth (z in the optical frame, metres) at the pixel centres, NaN where nothing is hit.
 
@@ -327,7 +333,9 @@ class Renderer:
             image[rows, columns] = depth.reshape(high, wide)
         return image
 
-    def _candidates(self, cam_from_world, tiles=None, reach: float = 0.0):
+    def _candidates(self, cam_from_world: np.ndarray, tiles: np.ndarray | None = None,
+                    reach: float = 0.0,
+                    ) -> Iterator[tuple[_Slices, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """
         Yield (slices, rays, step, surfaces, their A) by tile, hidden surfaces left out.
 
@@ -355,7 +363,8 @@ class Renderer:
             slices, rays, step = self._tiles[place]
             yield slices, rays, step, facing[chosen], inverse[chosen]
 
-    def _shade(self, rays, step, surfaces, inverse, motion=None):
+    def _shade(self, rays: np.ndarray, step: np.ndarray, surfaces: np.ndarray, inverse: np.ndarray,
+               motion: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
         """Grey level of every ray, shape (N,); motion: times (N,) and move of their origin."""
         grey = np.where(np.isfinite(rays[0]), self.background, 0.0)
         if not len(surfaces):
@@ -379,7 +388,9 @@ class Renderer:
         return grey
 
 
-def _nearest(rays, inverse, motion=None):
+def _nearest(rays: np.ndarray, inverse: np.ndarray,
+             motion: tuple[np.ndarray, np.ndarray] | None = None,
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Index of the nearest surface on each ray, with its a, b and w; w = 0: nothing is hit.
 
@@ -400,7 +411,8 @@ def _nearest(rays, inverse, motion=None):
     return best, a[pick], b[pick], w[pick]
 
 
-def quantise(intensity, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
+def quantise(intensity: np.ndarray, rng: np.random.Generator | None = None,
+             noise_sigma: float = 0.0) -> np.ndarray:
     """
     Add Gaussian noise and round to 8 bits.
 
@@ -414,4 +426,4 @@ def quantise(intensity, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
         if rng is None:
             raise ArgumentError('Image noise needs an rng to draw from.')
         intensity = intensity + rng.normal(0.0, noise_sigma, np.shape(intensity))
-    return np.clip(np.rint(intensity), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(intensity), 0, 255).astype(np.uint8))

@@ -96,7 +96,7 @@ def rolling_video(kind: str, readout_s: float, length_s: float = 6.0, rate_hz: f
 
 
 def _lifted(path: Path, by_m: float) -> Path:
-    def pose(time):
+    def pose(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         R, centre = path(time)
         return R, centre + [0, 0, by_m]
 

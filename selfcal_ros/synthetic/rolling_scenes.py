@@ -69,15 +69,15 @@ def drive(rng: np.random.Generator, length_s: float = 6.0, turn_deg: float = 45.
     phase = rng.uniform(-0.4, 0.4, 2)
     grid = np.linspace(-0.1, 1.1, 500)
 
-    def heading(share):
-        return np.radians(turn_deg * np.sin(2 * np.pi * share + phase[0])
-                          + 8 * np.sin(5 * np.pi * share + phase[1]))
+    def heading(share: np.ndarray) -> np.ndarray:
+        wiggle = 8 * np.sin(5 * np.pi * share + phase[1])
+        return np.asarray(np.radians(turn_deg * np.sin(2 * np.pi * share + phase[0]) + wiggle))
 
     course = np.column_stack([np.cos(heading(grid)), np.sin(heading(grid))]) * travel_m
     place = CubicSpline(grid, course).antiderivative()
     mount = pitched_mount(np.radians(pitch_deg))
 
-    def pose(time):
+    def pose(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         share = np.asarray(time, float) / length_s
         angle = heading(share)
         body = np.concatenate([place(share), np.full((*np.shape(share), 1), 0.6)], axis=-1)
@@ -96,7 +96,7 @@ def hand(rng: np.random.Generator, length_s: float = 6.0, turn_deg: float = 20.0
     phase = rng.uniform(0, 2 * np.pi, (2, 3, 3))
     forward = pitched_mount(0.0)
 
-    def pose(time):
+    def pose(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         angle = 2 * np.pi * np.asarray(time, float)[..., None, None] / length_s * _CYCLES
         turned = np.sum(turn * np.sin(angle + phase[0]), axis=-1)
         return (rotation_matrix(turned) @ forward,
@@ -141,7 +141,7 @@ def record(rng: np.random.Generator, path: Path, readout_s: float, times: np.nda
     anchor = rng.integers(0, len(times), points)
     X = centre[anchor] + np.einsum('pji,pj->pi', R[anchor], rays * depth[:, None])
 
-    def image(times):
+    def image(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         taken = instants = np.broadcast_to(times[:, None], (len(times), points))
         for _ in range(8):
             R, centre = path(taken)

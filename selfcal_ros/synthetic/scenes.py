@@ -22,9 +22,11 @@ column is the rotation axis in every camera frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.values.tracks import Tracks
@@ -75,13 +77,13 @@ class PointSequence:
     def vanishing_point(self) -> np.ndarray:
         """Image v of the direction of the rotation axis, shape (3,), unit norm."""
         v = self.camera.K @ self.axis
-        return v / np.linalg.norm(v)
+        return np.asarray(v / np.linalg.norm(v))
 
     @property
     def horizon(self) -> np.ndarray:
         """Vanishing line l of the planes of motion, shape (3,), unit norm."""
         line = np.linalg.solve(self.camera.K.T, self.axis)
-        return line / np.linalg.norm(line)
+        return np.asarray(line / np.linalg.norm(line))
 
     @property
     def circular_point(self) -> np.ndarray:
@@ -98,7 +100,7 @@ def _plane_basis(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, np.cross(axis, first)
 
 
-def mount_from_axis(axis) -> np.ndarray:
+def mount_from_axis(axis: ArrayLike) -> np.ndarray:
     """
     Mount the camera so that the body's z axis is `axis` in the camera frame.
 
@@ -114,8 +116,8 @@ def mount_from_axis(axis) -> np.ndarray:
         Rotation from body to camera coordinates.
 
     """
-    axis = np.asarray(axis, float) / np.linalg.norm(axis)
-    return np.column_stack([*_plane_basis(axis), axis])
+    unit = np.asarray(axis, float) / np.linalg.norm(axis)
+    return np.column_stack([*_plane_basis(unit), unit])
 
 
 def pitched_mount(pitch_rad: float, roll_rad: float = 0.0) -> np.ndarray:
@@ -137,10 +139,11 @@ def pitched_mount(pitch_rad: float, roll_rad: float = 0.0) -> np.ndarray:
     """
     up = np.array([0.0, -np.cos(pitch_rad), -np.sin(pitch_rad)])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ mount_from_axis(up)
+    return np.asarray(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ mount_from_axis(up))
 
 
-def planar_poses(mount_rotation, angles_rad, positions) -> np.ndarray:
+def planar_poses(mount_rotation: ArrayLike, angles_rad: ArrayLike, positions: ArrayLike,
+                 ) -> np.ndarray:
     """
     Poses of a camera that moves in the x, y plane of the world and turns about z.
 
@@ -169,8 +172,9 @@ def planar_poses(mount_rotation, angles_rad, positions) -> np.ndarray:
     return np.concatenate([rotation, -rotation @ centres[:, :, None]], axis=-1)
 
 
-def observe(rng, camera: Camera, cam_from_world, points, noise_px: float = 0.0,
-            only_inside: bool = False, seen=None) -> PointSequence:
+def observe(rng: np.random.Generator, camera: Camera, cam_from_world: ArrayLike, points: ArrayLike,
+            noise_px: float = 0.0, only_inside: bool = False, seen: np.ndarray | None = None,
+            ) -> PointSequence:
     """
     Project points into views and add Gaussian noise.
 
@@ -215,9 +219,10 @@ def observe(rng, camera: Camera, cam_from_world, points, noise_px: float = 0.0,
                          np.zeros(len(tracks), bool))
 
 
-def planar_sequence(rng, camera: Camera, mount_rotation, angles_rad, positions, points,
+def planar_sequence(rng: np.random.Generator, camera: Camera, mount_rotation: ArrayLike,
+                    angles_rad: ArrayLike, positions: ArrayLike, points: ArrayLike,
                     noise_px: float = 0.0, only_inside: bool = False,
-                    seen=None) -> PointSequence:
+                    seen: np.ndarray | None = None) -> PointSequence:
     """
     Observe points from a camera in planar motion; see `planar_poses` and `observe`.
 
@@ -246,10 +251,11 @@ def double_tsai_grid(per_side: int = 5, side: float = 1.0) -> np.ndarray:
     left = np.column_stack([-half * along, half * along, up])
     right = np.column_stack([-half * along, -half * along, up])
     points = np.vstack([left, right])
-    return points - points.mean(axis=0)
+    return np.asarray(points - points.mean(axis=0))
 
 
-def si_camera(aspect_ratio: float = 1.0, skew: float = 0.0, distortion=()) -> Camera:
+def si_camera(aspect_ratio: float = 1.0, skew: float = 0.0, distortion: Sequence[float] = (),
+              ) -> Camera:
     """Camera of sequence SI: K = (900, 900, 400, 300, 0), image 800 x 600."""
     return Camera([[900.0, skew, 400.0], [0.0, 900 * aspect_ratio, 300.0], [0.0, 0.0, 1.0]],
                   np.asarray(distortion, float), 800, 600)
@@ -258,12 +264,14 @@ def si_camera(aspect_ratio: float = 1.0, skew: float = 0.0, distortion=()) -> Ca
 def si_axis() -> np.ndarray:
     """Rotation axis of sequence SI in the camera frame, from K and v, shape (3,)."""
     axis = np.linalg.solve(si_camera().K, [*SI_VANISHING_POINT, 1.0])
-    return axis / np.linalg.norm(axis)
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
-def sequence_si(rng, noise_px: float = 0.1, views: int = 3, step_deg: float = 10.0,
-                aspect_ratio: float = 1.0, skew: float = 0.0, distortion=(), axis=None,
-                positions=None, points=None, only_inside: bool = False) -> PointSequence:
+def sequence_si(rng: np.random.Generator, noise_px: float = 0.1, views: int = 3,
+                step_deg: float = 10.0, aspect_ratio: float = 1.0, skew: float = 0.0,
+                distortion: Sequence[float] = (), axis: ArrayLike | None = None,
+                positions: ArrayLike | None = None, points: ArrayLike | None = None,
+                only_inside: bool = False) -> PointSequence:
     """
     Make the thesis's sequence SI (section 6.1) or a relative of it.
 

@@ -17,16 +17,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.synthetic.object_shapes import SolidObject
 from selfcal_ros.synthetic.objects import ObjectRecording, tracked_object
 from selfcal_ros.values.camera_rig import PlacedCamera
 
 
-def object_before_cameras(views: int, shape='cube', aside: Sequence[float] = (0.0, 0.35),
-                          **kwargs) -> tuple[list[ObjectRecording], list[PlacedCamera]]:
+def object_before_cameras(views: int, shape: str | SolidObject = 'cube',
+                          aside: Sequence[float] = (0.0, 0.35), **kwargs: Any,
+                          ) -> tuple[list[ObjectRecording], list[PlacedCamera]]:
     """
     Move an object before cameras that stand beside each other and turn towards it.
 
@@ -64,7 +68,8 @@ def object_before_cameras(views: int, shape='cube', aside: Sequence[float] = (0.
     return recordings, cameras
 
 
-def turned_camera(placed: PlacedCamera, degrees: float, axis=(0.3, 0.9, 0.2)) -> PlacedCamera:
+def turned_camera(placed: PlacedCamera, degrees: float, axis: ArrayLike = (0.3, 0.9, 0.2),
+                  ) -> PlacedCamera:
     """Return a camera whose stated place is wrong by a turn about an axis of its own."""
     T = placed.T_rig_camera.copy()
     direction = np.asarray(axis, float) / np.linalg.norm(axis)

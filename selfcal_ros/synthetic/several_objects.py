@@ -17,8 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from selfcal_ros.synthetic.object_shapes import SolidObject
 
 from selfcal_ros.synthetic.objects import ObjectRecording, tracked_object
 from selfcal_ros.synthetic.render import quantise, Renderer, Scene
@@ -57,7 +59,8 @@ class ObjectsRecording:
         return images
 
 
-def objects_beside(shapes: Sequence, views: int, **kwargs) -> ObjectsRecording:
+def objects_beside(shapes: Sequence[str | SolidObject], views: int, **kwargs: Any,
+                   ) -> ObjectsRecording:
     """
     Move objects beside each other before a fixed camera.
 

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -27,14 +28,14 @@ from selfcal_ros.synthetic.scenes import (double_tsai_grid, mount_from_axis, obs
 from selfcal_ros.values.tracks import Tracks
 
 
-def level_horizon(rng, noise_px: float = 0.1, pitch_deg: float = 20.0,
-                  **options) -> PointSequence:
+def level_horizon(rng: np.random.Generator, noise_px: float = 0.1, pitch_deg: float = 20.0,
+                  **options: Any) -> PointSequence:
     """SI seen by a camera pitched down without roll; pitch 0 puts the axis along image y."""
     return sequence_si(rng, noise_px, axis=pitched_mount(np.radians(pitch_deg))[:, 2], **options)
 
 
-def circular_motion(rng, noise_px: float = 0.1, views: int = 3, step_deg: float = 10.0,
-                    aside: float = 0.0, **options) -> PointSequence:
+def circular_motion(rng: np.random.Generator, noise_px: float = 0.1, views: int = 3,
+                    step_deg: float = 10.0, aside: float = 0.0, **options: Any) -> PointSequence:
     """
     SI on a turntable: the camera circles an axis, facing it with aside = 0.
 
@@ -50,31 +51,35 @@ def circular_motion(rng, noise_px: float = 0.1, views: int = 3, step_deg: float 
     return sequence_si(rng, noise_px, views, step_deg, positions=positions, **options)
 
 
-def nearly_equal_positions(rng, noise_px: float = 0.1, scale: float = 1e-3,
-                           step_deg: float = 10.0, **options) -> PointSequence:
+def nearly_equal_positions(rng: np.random.Generator, noise_px: float = 0.1, scale: float = 1e-3,
+                           step_deg: float = 10.0, **options: Any) -> PointSequence:
     """SI with its translations shrunk, so that the three positions are almost one."""
     return sequence_si(rng, noise_px, step_deg=step_deg,
                        positions=scale * np.array(SI_POSITIONS), **options)
 
 
-def pure_translation(rng, noise_px: float = 0.1, **options) -> PointSequence:
+def pure_translation(rng: np.random.Generator, noise_px: float = 0.1, **options: Any,
+                     ) -> PointSequence:
     """SI without its rotation."""
     return sequence_si(rng, noise_px, step_deg=0.0, **options)
 
 
-def pure_rotation(rng, noise_px: float = 0.1, views: int = 3, **options) -> PointSequence:
+def pure_rotation(rng: np.random.Generator, noise_px: float = 0.1, views: int = 3, **options: Any,
+                  ) -> PointSequence:
     """SI without its translation."""
     return sequence_si(rng, noise_px, views, positions=np.zeros((views, 2)), **options)
 
 
-def few_points(rng, noise_px: float = 0.1, count: int = 4, **options) -> PointSequence:
+def few_points(rng: np.random.Generator, noise_px: float = 0.1, count: int = 4, **options: Any,
+               ) -> PointSequence:
     """SI with so few of its points, spread over the grid."""
     grid = double_tsai_grid()
     chosen = np.linspace(0, len(grid) - 1, count).round().astype(int)
     return sequence_si(rng, noise_px, points=grid[chosen], **options)
 
 
-def coplanar_points(rng, noise_px: float = 0.1, **options) -> PointSequence:
+def coplanar_points(rng: np.random.Generator, noise_px: float = 0.1, **options: Any,
+                    ) -> PointSequence:
     """SI with all fifty points in one plane, oblique to the axis and to the image."""
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 10),
                                            np.linspace(-0.6, 0.6, 5)))
@@ -82,8 +87,8 @@ def coplanar_points(rng, noise_px: float = 0.1, **options) -> PointSequence:
     return sequence_si(rng, noise_px, points=np.outer(u, first) + np.outer(v, second), **options)
 
 
-def general_motion(rng, noise_px: float = 0.1, step_deg: float = 10.0,
-                   **options) -> PointSequence:
+def general_motion(rng: np.random.Generator, noise_px: float = 0.1, step_deg: float = 10.0,
+                   **options: Any) -> PointSequence:
     """Show SI's points to three views turned about different axes, out of any one plane."""
     still = sequence_si(rng, 0.0, **options)
     turns = np.radians(step_deg) * np.array([[0, 0, 0], [0.7, 0.1, 0.4], [-0.4, 0.6, -0.9]])
@@ -99,7 +104,8 @@ def general_motion(rng, noise_px: float = 0.1, step_deg: float = 10.0,
     return observe(rng, still.camera, poses, still.points, noise_px)
 
 
-def with_outliers(sequence: PointSequence, rng, share: float) -> PointSequence:
+def with_outliers(sequence: PointSequence, rng: np.random.Generator, share: float,
+                  ) -> PointSequence:
     """
     Replace a share of the observations by points anywhere in the image.
 
@@ -127,7 +133,7 @@ def with_outliers(sequence: PointSequence, rng, share: float) -> PointSequence:
                                                          tracks.image_size, tracks.stamps_ns))
 
 
-def drive(rng, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
+def drive(rng: np.random.Generator, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
           track_length: int = 24, camera: Camera | None = None, pitch_deg: float = 20.0,
           roll_deg: float = 0.0) -> PointSequence:
     """
@@ -167,8 +173,9 @@ def drive(rng, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
                            only_inside=True, seen=seen)
 
 
-def placed_points(rng, camera: Camera, cam_from_world, count: int, track_length: int,
-                  depth_m=(3.0, 10.0)) -> tuple[np.ndarray, np.ndarray]:
+def placed_points(rng: np.random.Generator, camera: Camera, cam_from_world: np.ndarray, count: int,
+                  track_length: int, depth_m: tuple[float, float] = (3.0, 10.0),
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """
     Place scene points evenly over a recording and over the image, whatever the lens.
 
@@ -214,7 +221,7 @@ def placed_points(rng, camera: Camera, cam_from_world, count: int, track_length:
     return points, (step >= start) & (step < start + track_length)
 
 
-def hand_held(rng, noise_px: float = 0.3, views: int = 20, tracks: int = 1000,
+def hand_held(rng: np.random.Generator, noise_px: float = 0.3, views: int = 20, tracks: int = 1000,
               track_length: int = 12, camera: Camera | None = None, turn_deg: float = 20.0,
               shift_m: float = 0.5) -> PointSequence:
     """

@@ -15,7 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,9 +33,9 @@ from selfcal_ros.synthetic.recordings import agv_drive, FIRST_STAMP_NS, Recordin
 REALISTIC_FISHEYE = (-0.04, 0.008, -0.008, 0.0015)
 
 
-def wide_camera(circle_deg: float, size=(640, 480), coefficients=REALISTIC_FISHEYE,
-                model: str = 'equidistant', filled: str = 'width', off_centre_px=(5.0, -4.0),
-                ) -> Camera:
+def wide_camera(circle_deg: float, size: tuple[int, int] = (640, 480),
+                coefficients: Sequence[float] = REALISTIC_FISHEYE, model: str = 'equidistant',
+                filled: str = 'width', off_centre_px: tuple[float, float] = (5.0, -4.0)) -> Camera:
     """
     Make a camera of which a circle of rays fills the image.
 
@@ -80,7 +82,7 @@ def wide_camera(circle_deg: float, size=(640, 480), coefficients=REALISTIC_FISHE
 
 
 def fisheye_drive(views: int = 24, circle_deg: float = 150.0, camera: Camera | None = None,
-                  **options) -> Recording:
+                  **options: Any) -> Recording:
     """
     Drive an S through the hall of `agv_drive` with a wide lens.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from selfcal_ros.synthetic.render import PYRAMID_LEVELS, Surface
@@ -48,7 +49,8 @@ class Style:
     contrast: float = 70.0
 
 
-def texture(rng, width_m: float, height_m: float, style: Style, mean: float) -> np.ndarray:
+def texture(rng: np.random.Generator, width_m: float, height_m: float, style: Style, mean: float,
+            ) -> np.ndarray:
     """
     Draw a band-limited texture of polygons and ellipses at several scales.
 
@@ -82,10 +84,10 @@ def texture(rng, width_m: float, height_m: float, style: Style, mean: float) -> 
     radii = _radii(rng, width_m * height_m, style)
     for radius in radii:
         _draw_shape(canvas, rng, radius * texels.mean(), mean, style.contrast)
-    return np.clip(ndimage.gaussian_filter(canvas, 0.6), 5, 250).astype(np.float32)
+    return np.asarray(np.clip(ndimage.gaussian_filter(canvas, 0.6), 5, 250).astype(np.float32))
 
 
-def _radii(rng, area_m2, style):
+def _radii(rng: np.random.Generator, area_m2: float, style: Style) -> np.ndarray:
     """Radii in metres, largest first."""
     low, high = style.smallest_m ** -2, style.largest_m ** -2
     mean_square = 2 * np.log(style.largest_m / style.smallest_m) / (low - high)
@@ -93,7 +95,8 @@ def _radii(rng, area_m2, style):
     return np.sort((high + (low - high) * rng.random(count)) ** -0.5)[::-1]
 
 
-def _draw_shape(canvas, rng, radius, mean, contrast):
+def _draw_shape(canvas: np.ndarray, rng: np.random.Generator, radius: float, mean: float,
+                contrast: float) -> None:
     """Draw one ellipse or regular polygon, stretched and turned, `radius` texels large."""
     rows, columns = canvas.shape
     x, y, angle, stretch = rng.random(4) * [columns, rows, 2 * np.pi, 0.6] + [0, 0, 0, 0.4]
@@ -117,14 +120,16 @@ def _draw_shape(canvas, rng, radius, mean, contrast):
     patch += alpha * (grey - patch)
 
 
-def rectangle(rng, origin, edge_u, edge_v, style: Style, mean: float, body: int = 0) -> Surface:
+def rectangle(rng: np.random.Generator, origin: ArrayLike, edge_u: ArrayLike, edge_v: ArrayLike,
+              style: Style, mean: float, body: int = 0) -> Surface:
     """Make a surface with a texture of its own."""
     size = float(np.linalg.norm(edge_u)), float(np.linalg.norm(edge_v))
     return Surface(np.asarray(origin, float), np.asarray(edge_u, float),
                    np.asarray(edge_v, float), texture(rng, *size, style, mean), body)
 
 
-def box(rng, centre, size, yaw_rad: float, style: Style, body: int = 0) -> list[Surface]:
+def box(rng: np.random.Generator, centre: ArrayLike, size: ArrayLike, yaw_rad: float, style: Style,
+        body: int = 0) -> list[Surface]:
     """
     Make the four sides and the top of an upright box.
 
@@ -161,7 +166,8 @@ def box(rng, centre, size, yaw_rad: float, style: Style, body: int = 0) -> list[
             for o, u, v in faces]
 
 
-def room(rng, low, high, style: Style, ceiling_style: Style) -> list[Surface]:
+def room(rng: np.random.Generator, low: ArrayLike, high: ArrayLike, style: Style,
+         ceiling_style: Style) -> list[Surface]:
     """Make floor, ceiling and four walls that face inwards, between corners `low` and `high`."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     x, y, z = np.diag(high - low)
@@ -175,7 +181,8 @@ def room(rng, low, high, style: Style, ceiling_style: Style) -> list[Surface]:
     ]
 
 
-def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) -> list[Surface]:
+def hall(rng: np.random.Generator, path_xy: ArrayLike, heading_rad: ArrayLike, boxes: int = 18,
+         clearance_m: float = 0.75) -> list[Surface]:
     """
     Furnish a hall around a drive: boxes and pillars near and far, none in the way.
 
@@ -203,7 +210,7 @@ def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) 
     floor = Style(texel_m=0.006, smallest_m=0.045, largest_m=0.7, cover=0.9, contrast=60.0)
     ceiling = Style(texel_m=0.02, smallest_m=0.1, largest_m=1.0, cover=0.8, contrast=40.0)
     surfaces = room(rng, low, high, floor, ceiling)
-    placed: list[tuple] = []
+    placed: list[tuple[np.ndarray, float]] = []
     for attempt in range(400):
         if len(placed) == boxes:
             break
@@ -228,7 +235,7 @@ def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) 
     return surfaces
 
 
-def bench_top(rng, boxes: int = 16) -> list[Surface]:
+def bench_top(rng: np.random.Generator, boxes: int = 16) -> list[Surface]:
     """
     Lay out a bench top inside a small room, for a camera about a metre above the origin.
 
@@ -251,7 +258,7 @@ def bench_top(rng, boxes: int = 16) -> list[Surface]:
     return surfaces + scatter(rng, boxes, 0.55, fine, largest_m=0.4)
 
 
-def turntable(rng, boxes: int = 7) -> list[Surface]:
+def turntable(rng: np.random.Generator, boxes: int = 7) -> list[Surface]:
     """
     Put objects on a round trip: body 0 turns, body 1 is the room behind, which does not.
 
@@ -275,11 +282,11 @@ def turntable(rng, boxes: int = 7) -> list[Surface]:
     return [table] + scatter(rng, boxes, 0.22, fine, largest_m=0.14) + background
 
 
-def scatter(rng, count: int, radius_m: float, style: Style,
+def scatter(rng: np.random.Generator, count: int, radius_m: float, style: Style,
             largest_m: float = 0.3) -> list[Surface]:
     """Stand `count` boxes on z = 0 within `radius_m` of the origin, apart from each other."""
     surfaces: list[Surface] = []
-    placed: list[tuple] = []
+    placed: list[tuple[np.ndarray, float]] = []
     for attempt in range(60 * count):
         if len(placed) == count:
             break

@@ -29,10 +29,10 @@ from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_ne
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators import moving_camera, pivot
+from selfcal_ros.calibration.estimators import motion_choice, moving_camera, pivot
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
-from selfcal_ros.calibration.estimators.moving_camera import (
-    MAX_NOISE_OF_WEAK_PATH, MovingCamera, Turn)
+from selfcal_ros.calibration.estimators.motion_choice import MAX_NOISE_OF_WEAK_PATH
+from selfcal_ros.calibration.estimators.moving_camera import MovingCamera, Turn
 from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
                                                       PivotDecision)
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
@@ -292,8 +292,9 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
                    noise_sigma_px=1.05 * drive.noise_sigma_px)
     # as if the parallax were little, and rotations nearly explained the images
     rotations = SimpleNamespace(left_px=3.0, noise_px=0.5)
+    monkeypatch.setattr(motion_choice, 'RotationFit', SimpleNamespace)
     monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
-    monkeypatch.setattr(moving_camera, 'of_two_turning', lambda *_: None)
+    monkeypatch.setattr(motion_choice, 'of_two_turning', lambda *_: None)
     monkeypatch.setattr(moving_camera, 'MAX_PARALLAX_OF_BEST', 1e6)
     monkeypatch.setattr(moving_camera, 'fit_rotations', lambda *_: rotations)
     left_px = 1.1 * drive.noise_sigma_px
@@ -326,8 +327,9 @@ def test_a_camera_that_rotations_contradict_is_no_calibration_where_they_leave_a
 
 def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
     sequence = vehicle(np.random.default_rng([3, 5]), s_curve(6), count=60, noise_px=0.5)
+    monkeypatch.setattr(motion_choice, 'RotationFit', SimpleNamespace)
     monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
-    monkeypatch.setattr(moving_camera, 'of_two_turning', lambda *_: None)
+    monkeypatch.setattr(motion_choice, 'of_two_turning', lambda *_: None)
     monkeypatch.setattr(moving_camera, 'MAX_PARALLAX_OF_BEST', 1e6)
     monkeypatch.setattr(moving_camera, 'fit_rotations',
                         lambda *_: SimpleNamespace(left_px=3.0, noise_px=0.5))

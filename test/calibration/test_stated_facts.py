@@ -26,7 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators import motion_calibration, stated_facts
+from selfcal_ros.calibration.estimators import one_motion, stated_facts
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.facts_in_the_way import preferred_by_all
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
@@ -139,9 +139,9 @@ def test_a_lens_like_no_model_is_not_blamed_on_what_was_stated():
 def test_a_lens_that_was_chosen_is_no_fact_once_the_focal_length_is_free(monkeypatch):
     """A straight drive was refused for a lens model that nobody had stated."""
     asked = []
-    refusal = NoEstimate(motion_calibration.NOT_CONSTANT)
-    monkeypatch.setattr(motion_calibration, 'assess', lambda *_: refusal)
-    monkeypatch.setattr(motion_calibration, '_parted_or_zooming',
+    refusal = NoEstimate(one_motion.NOT_CONSTANT)
+    monkeypatch.setattr(one_motion, 'assess', lambda *_: refusal)
+    monkeypatch.setattr(one_motion, 'parted_or_zooming',
                         lambda problem, *_: asked.append(problem.facts.distortion) or refusal)
     calibrate(seen_by(5, views=8).tracks, motion='general',
               facts=CameraFacts(aspect_ratio=1.0, skew=0.0))

@@ -14,6 +14,7 @@
 """
 From tracks to a result, one file a kind of motion, and the tests that a result must pass.
 
-Read `moving_camera` for the choice of the motion, `motion_calibration` for the whole chain of one
-motion, `acceptance` for the reasons of a refusal.
+Read `motion_choice` for the choice of the motion, and `motion_calibration` for what is tried of a
+path: each is a list of attempts in order. `one_motion` is the whole chain of one motion, and
+`acceptance` has the reasons of a refusal.
 """

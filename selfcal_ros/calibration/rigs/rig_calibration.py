@@ -65,7 +65,7 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
                   baseline: tuple[float, float] | None = None,
                   rng: np.random.Generator | None = None,
                   alone: Mapping[str, Calibration | NotCalibrated] | None = None,
-                  progress: Callable[[str, int, int | None], None] | None = None,
+                  progress: Callable[[str, int, int | None], object] | None = None,
                   ) -> RigCalibration | NotCalibrated:
     """
     Calibrate cameras that move together, of which nothing need be known.
@@ -158,7 +158,7 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
         software=SOFTWARE)
 
 
-def _tell(progress: Callable[[str, int, int | None], None] | None, text: str) -> None:
+def _tell(progress: Callable[[str, int, int | None], object] | None, text: str) -> None:
     """Tell that a stage begins, which cannot know how far it is."""
     if progress is not None:
         progress(text, 0, None)

@@ -24,6 +24,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from msg_adapters.body_poses import body_pose, ODOMETRY_TYPE, transforms
+from msg_adapters.message_types import Message
 
 import numpy as np
 
@@ -163,7 +164,7 @@ class LiveRobot:
         """What holds the poses."""
         return (self._buffer, *self._links.values())
 
-    def add(self, message, kind: str) -> None:
+    def add(self, message: Message, kind: str) -> None:
         """
         Take a message of a pose.
 
@@ -186,7 +187,7 @@ class LiveRobot:
         self._kind = ODOMETRY if kind == ODOMETRY_TYPE else ABSOLUTE
         self._buffer.add(stamp, pose)
 
-    def add_transforms(self, message, is_static: bool) -> None:
+    def add_transforms(self, message: Message, is_static: bool) -> None:
         """Take a TFMessage of /tf or /tf_static; only the way from frame to frame is kept."""
         try:
             told = list(transforms(message))

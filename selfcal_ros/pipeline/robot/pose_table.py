@@ -47,7 +47,7 @@ EXPECTED = ('stamp_ns, frame or image; then tx,ty,tz with qw,qx,qy,qz or rx,ry,r
             'x,y,theta; or of a gyro gyro_x,gyro_y,gyro_z (rad/s)')
 
 
-def read_pose_table(path, images: list[str] | None = None, by_stamp: bool = False,
+def read_pose_table(path: str | Path, images: list[str] | None = None, by_stamp: bool = False,
                     ) -> BodyPoses | AngularRates:
     """
     Read a table of poses, or of the rates of a gyro.
@@ -116,7 +116,8 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
     return names, lines[1:]
 
 
-def _column_of_time(path, names, images, by_stamp: bool) -> str:
+def _column_of_time(path: str | Path, names: list[str], images: list[str] | None, by_stamp: bool,
+                    ) -> str:
     """Choose the column that says when."""
     there = [name for name in WHEN if name in names and (name != 'image' or images)]
     if not there:
@@ -130,7 +131,7 @@ def _column_of_time(path, names, images, by_stamp: bool) -> str:
     return there[0]
 
 
-def _numbers(path, names, rows) -> dict[str, np.ndarray]:
+def _numbers(path: str | Path, names: list[str], rows: list[list[str]]) -> dict[str, np.ndarray]:
     """Return the columns of the poses."""
     for wanted in ((*PLACE, *QUATERNION), (*PLACE, *VECTOR), (*PLACE, *MATRIX), PLANAR, COLUMNS):
         if set(wanted) <= set(names):
@@ -161,7 +162,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _frames_of(path, cells, images) -> tuple[np.ndarray, np.ndarray]:
+def _frames_of(path: str | Path, cells: list[str], images: list[str],
+               ) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames of named images, and which rows have one."""
     place = {name: k for k, name in enumerate(images)}
     place |= {Path(name).stem: k for k, name in enumerate(images)}
@@ -173,7 +175,8 @@ def _frames_of(path, cells, images) -> tuple[np.ndarray, np.ndarray]:
     return found[found >= 0], np.flatnonzero(found >= 0)
 
 
-def _instants(path, names, rows, when: str) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _instants(path: str | Path, names: list[str], rows: list[list[str]], when: str,
+              ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return stamps or frames, in the order of the table."""
     cells = [row[names.index(when)].strip() for row in rows]
     try:
@@ -198,7 +201,8 @@ def _nanoseconds(cell: str) -> int:
         raise ValueError(cell) from None
 
 
-def _poses(path, numbers, line) -> tuple[np.ndarray, np.ndarray, str]:
+def _poses(path: str | Path, numbers: dict[str, np.ndarray], line: np.ndarray,
+           ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return rotations, positions and kind."""
     if 'theta' in numbers:
         x, y, theta = (numbers[name] for name in PLANAR)
@@ -226,7 +230,7 @@ def _poses(path, numbers, line) -> tuple[np.ndarray, np.ndarray, str]:
     return Rotation.from_rotvec(vectors).as_matrix(), position, ABSOLUTE
 
 
-def _rotations(path, matrices, line) -> np.ndarray:
+def _rotations(path: str | Path, matrices: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Make matrices orthogonal that are so but for their digits."""
     left = np.linalg.det(matrices) < 0
     if left.any():
@@ -237,4 +241,5 @@ def _rotations(path, matrices, line) -> np.ndarray:
     if (defect > UNIT_LENGTH).any():
         raise InputError(f'{path}, line {line[int(np.argmax(defect > UNIT_LENGTH))]}: the matrix '
                          'is no rotation; correct how it was written.')
-    return Rotation.from_matrix(matrices).as_matrix()
+    nearest: np.ndarray = Rotation.from_matrix(matrices).as_matrix()
+    return nearest

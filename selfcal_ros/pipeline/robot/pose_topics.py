@@ -25,7 +25,7 @@ from msg_adapters.body_poses import (body_pose, ODOMETRY_TYPE, POSE_TYPES, TRANS
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.bag_source import open_bag
+from selfcal_ros.pipeline.bag_source import open_bag, OpenBag
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 from selfcal_ros.values.transform_tree import TransformTree
 
@@ -35,7 +35,7 @@ TRANSFORM_TOPICS = ('/tf', '/tf_static')
 OVERTAKEN_NS = 200_000_000
 
 
-def read_pose_topic(path, topic: str) -> BodyPoses:
+def read_pose_topic(path: str | Path, topic: str) -> BodyPoses:
     """
     Read the poses that a topic of a bag tells.
 
@@ -79,7 +79,7 @@ def read_pose_topic(path, topic: str) -> BodyPoses:
                      body_frame=read[0][3] or 'base_link', world_frame=read[0][2] or 'world')
 
 
-def read_transforms(path, world: str, body: str) -> BodyPoses:
+def read_transforms(path: str | Path, world: str, body: str) -> BodyPoses:
     """
     Read the poses of one frame in another from /tf and /tf_static of a bag.
 
@@ -105,7 +105,7 @@ def read_transforms(path, world: str, body: str) -> BodyPoses:
         raise InputError(f'{path}: {error}') from None
 
 
-def _messages(bag, connections) -> Iterator[Any]:
+def _messages(bag: OpenBag, connections: list[Any]) -> Iterator[Any]:
     return (msg for _, msg in bag.messages(connections))
 
 
@@ -119,7 +119,7 @@ def _order(stamps: np.ndarray, source: str) -> np.ndarray:
     return np.unique(stamps, return_index=True)[1]
 
 
-def _fitting(bag) -> str:
+def _fitting(bag: OpenBag) -> str:
     """List what a user could name instead."""
     counts: dict[str, int] = {}
     for one in bag.connections:

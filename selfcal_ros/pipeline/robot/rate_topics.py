@@ -29,7 +29,7 @@ from selfcal_ros.values.angular_rates import AngularRates
 COLUMNS = ('gyro_x', 'gyro_y', 'gyro_z')
 
 
-def read_rate_topic(path, topic: str) -> AngularRates | None:
+def read_rate_topic(path: str | Path, topic: str) -> AngularRates | None:
     """
     Read what a gyro measured from a topic of sensor_msgs/Imu; None where it carries others.
 

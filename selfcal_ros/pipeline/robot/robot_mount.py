@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 import logging
 from pathlib import Path
@@ -25,8 +24,10 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.frame_source import FrameSource
+from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.robot.robot_source import instants_by_name, robot_poses, RobotSource
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.angular_rates import AngularRates
@@ -55,7 +56,7 @@ class RobotBeside:
     instants_ns: dict[int, int] | None = None
 
     def mounted(self, result: Calibration, reading: ExtractedTracks,
-                progress: Callable | None = None) -> Calibration:
+                progress: Progress | None = None) -> Calibration:
         """
         Return the calibration with the mount of the camera, or with why there is none.
 
@@ -87,7 +88,8 @@ class RobotBeside:
 
 
 def read_robot(path: str | Path, robot: RobotSource, facts: MountFacts,
-               **options) -> RobotBeside:
+               topic: str | None = None, image_size: tuple[int, int] | None = None,
+               excerpt: Excerpt = Excerpt()) -> RobotBeside:
     """
     Read the poses of the robot beside a recording, before the long work.
 
@@ -97,7 +99,7 @@ def read_robot(path: str | Path, robot: RobotSource, facts: MountFacts,
         The recording.
     robot : RobotSource
     facts : MountFacts
-    **options
+    topic, image_size, excerpt
         Of `selfcal_ros.pipeline.sources.open_source`.
 
     Raises
@@ -106,7 +108,7 @@ def read_robot(path: str | Path, robot: RobotSource, facts: MountFacts,
         If they cannot be used, or do not overlap the images; the sentence says what to do.
 
     """
-    with open_source(path, **options) as images:
+    with open_source(path, topic, image_size, excerpt=excerpt) as images:
         poses = robot_poses(robot, images)
         instants = instants_by_name(images)
         if isinstance(poses, AngularRates):
@@ -132,11 +134,12 @@ def _check_frames(poses: BodyPoses, frames: np.ndarray) -> None:
 
 
 def _check_overlap(poses: BodyPoses | AngularRates, images: FrameSource,
-                   instants: dict | None) -> None:
+                   instants: dict[int, int] | None) -> None:
     """Refuse poses of another time."""
     known = poses.stamps_ns
     if known is None:
         return
+    end: int | None
     if instants is not None:
         begin, end = min(instants.values()), max(instants.values())
     elif not images.has_own_clock:

@@ -142,7 +142,7 @@ def instants_by_name(images: FrameSource) -> dict[int, int] | None:
     return {k: _instant(match) for k, match in enumerate(found) if match}
 
 
-def _instant(match: re.Match) -> int:
+def _instant(match: re.Match[str]) -> int:
     """Return nanoseconds; whole numbers of 16 digits are microseconds."""
     whole, seconds, fraction = match.groups()
     if whole:

@@ -21,6 +21,7 @@ and taken away on their way back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import struct
 
 import numpy as np
@@ -137,7 +138,8 @@ def parse_colmap_binary(raw: bytes, source: str) -> list[StoredCamera]:
     return cameras
 
 
-def _camera(source, identity, model, size, values) -> StoredCamera:
+def _camera(source: str, identity: int, model: str, size: tuple[int, int], values: Sequence[float],
+            ) -> StoredCamera:
     """Build the camera of one entry."""
     if model not in _MODELS:
         raise InputError(f'{source}: the camera model {model:.40} of COLMAP has no exact '

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import json
 from pathlib import Path
+from typing import Any
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
@@ -73,7 +74,7 @@ FORMATS = {
 }
 
 
-def is_camera_file(path) -> bool:
+def is_camera_file(path: str | Path) -> bool:
     """Tell by its name whether a file, or the folder of a COLMAP model, may hold a camera."""
     path = Path(path)
     if path.is_dir():
@@ -81,7 +82,7 @@ def is_camera_file(path) -> bool:
     return path.suffix.lower() in CAMERA_SUFFIXES
 
 
-def read_cameras(path, *, fisheye: bool = False,
+def read_cameras(path: str | Path, *, fisheye: bool = False,
                  image_size: tuple[int, int] | None = None) -> tuple[str, list[StoredCamera]]:
     """
     Read all cameras of a file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or of our result.json.
@@ -132,8 +133,8 @@ def read_cameras(path, *, fisheye: bool = False,
     return 'ros', [StoredCamera(camera, name, covariance=stored_uncertainty(text, camera))]
 
 
-def read_camera(path, which: str | None = None, option: str = '--camera',
-                **options) -> StoredCamera:
+def read_camera(path: str | Path, which: str | None = None, option: str = '--camera',
+                **options: Any) -> StoredCamera:
     """
     Read one camera of a file; see `read_cameras`.
 
@@ -155,7 +156,7 @@ def read_camera(path, which: str | None = None, option: str = '--camera',
     return chosen(path, read_cameras(path, **options)[1], which, option)
 
 
-def chosen(path, cameras: list[StoredCamera], which: str | None = None,
+def chosen(path: str | Path, cameras: list[StoredCamera], which: str | None = None,
            option: str = '--camera') -> StoredCamera:
     """Choose one of the cameras of a file; see `read_camera`."""
     if which is None and len(cameras) == 1:
@@ -171,7 +172,7 @@ def chosen(path, cameras: list[StoredCamera], which: str | None = None,
     return found[0]
 
 
-def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
+def write_camera(path: str | Path, kind: str, camera: Camera, name: str = 'camera',
                  topic: str = '', replace: bool = True) -> Path:
     """
     Write a camera file; it appears whole or not at all.

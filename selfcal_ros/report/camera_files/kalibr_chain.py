@@ -20,6 +20,9 @@ corners with OpenCV and shares its pixel convention.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
 from selfcal_ros.errors import InputError
@@ -43,7 +46,7 @@ _MODELS: dict[tuple[str, str], tuple[str, tuple[str, ...], int]] = {
 _PROJECTIONS = {'ucm': 'omni', 'eucm': 'eucm', 'double_sphere': 'ds'}
 
 
-def parse_kalibr(document: dict, source: str) -> list[StoredCamera]:
+def parse_kalibr(document: dict[str, Any], source: str) -> list[StoredCamera]:
     """
     Return the cameras of a chain, or that of a file with a single one.
 
@@ -59,7 +62,7 @@ def parse_kalibr(document: dict, source: str) -> list[StoredCamera]:
     return [_camera(entry, name, f'{source}, {name}') for name, entry in chain.items()]
 
 
-def _camera(entry: dict, name: str, source: str) -> StoredCamera:
+def _camera(entry: dict[str, Any], name: str, source: str) -> StoredCamera:
     """Read one camera of a chain."""
     projection = str(entry.get('camera_model', 'pinhole'))
     model = str(entry.get('distortion_model', 'none'))
@@ -76,7 +79,7 @@ def _camera(entry: dict, name: str, source: str) -> StoredCamera:
     if intrinsics.size != len(names) or not isinstance(size, list) or len(size) != 2:
         raise InputError(f'{source}: the intrinsics of the projection {projection} are '
                          f'{" ".join(names)}, and the resolution has two numbers.')
-    size = [positive_integer(value, f'{source}: resolution') for value in size]
+    width, height = (positive_integer(value, f'{source}: resolution') for value in size)
     d = numbers(entry.get('distortion_coeffs', []), source, 'distortion_coeffs')
     if d.size != count and not (model == 'none' and not d.any()):
         raise InputError(f'{source}: the distortion model {model} has {count} coefficients, not '
@@ -84,7 +87,7 @@ def _camera(entry: dict, name: str, source: str) -> StoredCamera:
     fu, fv, pu, pv = intrinsics[len(first):]
     K = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]])
     coefficients = [*intrinsics[:len(first)], *d[:count]]
-    return StoredCamera(lens_camera(source, K, ours, coefficients, size), name,
+    return StoredCamera(lens_camera(source, K, ours, coefficients, (width, height)), name,
                         str(entry.get('rostopic', '')))
 
 
@@ -116,7 +119,7 @@ def kalibr_text(camera: Camera, name: str = '', topic: str = '') -> str:
         first, d = d[:places], d[places:]
         model, d = ('radtan', d) if d.any() else ('none', d[:0])
 
-    def listed(values):
+    def listed(values: Iterable[float]) -> str:
         return f'[{", ".join(map(number_text, values))}]'
 
     lines = ['cam0:', '  cam_overlaps: []', f'  camera_model: {projection}',

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from selfcal_ros.errors import InputError
@@ -27,7 +29,7 @@ RIM_RAD = np.radians(80)
 _BORDER = 33
 
 
-def read_known_camera(path) -> Camera:
+def read_known_camera(path: str | Path) -> Camera:
     """
     Read the one camera of a file, of whatever program, to be used as it is.
 

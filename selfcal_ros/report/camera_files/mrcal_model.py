@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import ast
 import re
+from typing import Any
 
 import numpy as np
 
@@ -112,12 +113,12 @@ def mrcal_text(camera: Camera, name: str = '', topic: str = '') -> str:
             '}\n')
 
 
-def _listed(values) -> list:
+def _listed(values: object) -> list[Any]:
     """Return a list or tuple as a list; anything else as nothing, which no count fits."""
     return list(values) if isinstance(values, (list, tuple)) else []
 
 
-def _document(text: str, source: str) -> dict:
+def _document(text: str, source: str) -> dict[str, Any]:
     """Read the dictionary; expressions, which could nest without end, are none."""
     problem = InputError(f'{source} is no .cameramodel of mrcal: it is not one dictionary of '
                          'numbers and texts.')

@@ -21,10 +21,13 @@ spellings that its other samples and its users write; files of a stereo pair hol
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import json
 import re
 from typing import Any
 from xml.etree import ElementTree
+
+import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
@@ -118,7 +121,8 @@ def opencv_text(camera: Camera, name: str = '', topic: str = '', xml: bool = Fal
     return '\n'.join(lines) + '\n'
 
 
-def _camera(source, K, d, size, fisheye) -> Camera:
+def _camera(source: str, K: np.ndarray, d: np.ndarray, size: tuple[int, int], fisheye: bool,
+            ) -> Camera:
     """Name the lens model, which OpenCV tells by the function that is called."""
     if K[0, 1]:
         raise InputError(f'{source} has a skew of {K[0, 1]:.4g} px in its camera matrix, which '
@@ -137,7 +141,8 @@ def _camera(source, K, d, size, fisheye) -> Camera:
     return lens_camera(source, K, model, d[:8] if d[5:].any() else d[:5], size)
 
 
-def _spelling(document, keys, spellings, number) -> str | None:
+def _spelling(document: dict[str, Any], keys: dict[str, str], spellings: Iterable[str],
+              number: str) -> str | None:
     """Return the key of a matrix in one of its spellings."""
     for spelling in spellings:
         key = keys.get(spelling + number)
@@ -146,18 +151,19 @@ def _spelling(document, keys, spellings, number) -> str | None:
     return None
 
 
-def _flag(document, keys) -> bool:
+def _flag(document: dict[str, Any], keys: dict[str, str]) -> bool:
     """Tell whether the file says that the lens is a fisheye."""
-    value = document.get(keys.get('fisheyemodel', keys.get('fisheye')), 0)
+    value = document.get(keys.get('fisheyemodel', keys.get('fisheye', '')), 0)
     return str(value).strip().lower() in ('1', 'true')
 
 
-def _image_size(document, keys, source) -> tuple[int, int] | None:
+def _image_size(document: dict[str, Any], keys: dict[str, str], source: str,
+                ) -> tuple[int, int] | None:
     """Return width and height, from two keys or from a list."""
-    pair = [document.get(keys.get(f'image{side}', keys.get(side))) for side in
-            ('width', 'height')]
+    pair: Any = [document.get(keys.get(f'image{side}', keys.get(side, ''))) for side in
+                 ('width', 'height')]
     if None in pair:
-        pair = document.get(keys.get('imagesize', keys.get('size')))
+        pair = document.get(keys.get('imagesize', keys.get('size', '')))
         pair = pair.split() if isinstance(pair, str) else pair
         if not isinstance(pair, list) or len(pair) != 2:
             return None
@@ -165,7 +171,7 @@ def _image_size(document, keys, source) -> tuple[int, int] | None:
     return width, height
 
 
-def _document(text: str, source: str) -> dict:
+def _document(text: str, source: str) -> dict[str, Any]:
     """Return the keys of the file; a matrix is a dict with rows, cols and data."""
     if text.lstrip().startswith('<'):
         return _from_xml(text, source)
@@ -191,7 +197,7 @@ def _without_comments(text: str) -> str:
     return ''.join(kept) + text[at:]
 
 
-def _from_xml(text: str, source: str) -> dict:
+def _from_xml(text: str, source: str) -> dict[str, Any]:
     """Read XML; documents that define entities are refused, because these can be bombs."""
     if '<!' in _without_comments(text):
         raise InputError(f'{source} defines entities or a document type, which no OpenCV file '

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,9 @@ from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
 ROUGH_DEG, ROUGH_M = 0.05, 0.0005
 
 
-def read_rig(path, names: Sequence[str] | None = None, topics: Sequence[str | None] = (),
-             sigma: tuple[float, float] | None = None) -> tuple[PlacedCamera, ...]:
+def read_rig(path: str | Path, names: Sequence[str] | None = None,
+             topics: Sequence[str | None] = (), sigma: tuple[float, float] | None = None,
+             ) -> tuple[PlacedCamera, ...]:
     """
     Read cameras with the transforms between them.
 
@@ -101,7 +103,7 @@ def rough_spread(sigma: tuple[float, float] | None = None) -> np.ndarray:
     return np.diag([metres**2] * 3 + [np.deg2rad(degrees)**2] * 3)
 
 
-def _of_result(stored: dict, source: str) -> list[tuple[PlacedCamera, str]]:
+def _of_result(stored: dict[str, Any], source: str) -> list[tuple[PlacedCamera, str]]:
     """Read our result.json; each camera with its topic, which is not there."""
     if 'rig' not in stored:
         raise InputError(f'{source} is of a single camera; a rig is calibrated with --cameras.')
@@ -122,7 +124,7 @@ def _of_result(stored: dict, source: str) -> list[tuple[PlacedCamera, str]]:
     return found
 
 
-def _of_chain(document: dict, source: str) -> list[tuple[PlacedCamera, str]]:
+def _of_chain(document: dict[str, Any], source: str) -> list[tuple[PlacedCamera, str]]:
     """Read a chain of Kalibr: T_cn_cnm1 takes points of the camera before to this one."""
     place, found = np.eye(4), []
     for k, (stored, entry) in enumerate(zip(parse_kalibr(document, source), (
@@ -138,7 +140,8 @@ def _of_chain(document: dict, source: str) -> list[tuple[PlacedCamera, str]]:
     return found
 
 
-def _chosen(found, name: str, topic: str | None, source: str):
+def _chosen(found: list[tuple[PlacedCamera, str]], name: str, topic: str | None, source: str,
+            ) -> tuple[PlacedCamera, str]:
     """Find a camera by its name, by its topic, or by a part of its topic."""
     fits = ([one for one in found if one[0].name == name]
             or [one for one in found if topic and one[1] == topic]

@@ -18,9 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.values.parameter_status import Status
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,11 @@ class StoredCamera:
     name: str
     topic: str = ''
     covariance: np.ndarray | None = None
-    status: dict = field(default_factory=dict)
+    status: dict[str, Status] = field(default_factory=dict)
 
 
-def lens_camera(source: str, K, model: str, coefficients, size=(0, 0)) -> Camera:
+def lens_camera(source: str, K: ArrayLike, model: str, coefficients: ArrayLike,
+                size: tuple[int, int] = (0, 0)) -> Camera:
     """Build a camera; what is impossible is an InputError that starts with the source."""
     try:
         return Camera(K, coefficients, size[0], size[1], model)

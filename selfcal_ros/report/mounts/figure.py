@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from matplotlib.patches import Ellipse
 import numpy as np
 
@@ -23,7 +25,11 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.mounts.record import known_angles, known_matrix
 from selfcal_ros.report.mounts.words import floor_sentence, mount_rows
 from selfcal_ros.report.page_table import PageTable
-from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, INK, new_panel, RED, styled
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, INK, new_panel, RED,
+                                      styled)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Colours of the axes x, y and z, as RViz has them.
 _AXES = (RED, GREEN, BLUE)
@@ -84,7 +90,7 @@ def mount_figure(result: Calibration) -> Drawing | None:
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)
             axes.legend(loc='best', handlelength=1.2)
-            panels.append(axes.figure)
+            panels.append(figure_of(axes))
     return Drawing('mount', 'The camera on the robot', f'The axes of {mount.frame} (x red, y '
                    'green, z blue) and what the camera sees from its place. Ellipses are one '
                    f'sigma of the place, {factor:g} times as large as they are.' if factor > 0
@@ -126,7 +132,7 @@ def _view(result: Calibration, R: np.ndarray, place: np.ndarray, depth: float) -
     return np.vstack([place, corners])
 
 
-def _draw_body(axes, across: int, up: int, length: float, frame: str) -> None:
+def _draw_body(axes: Axes, across: int, up: int, length: float, frame: str) -> None:
     """Draw the axes of the body, and the plane at its height zero."""
     if up == 2:
         axes.axhline(0.0, color=GREY, linewidth=0.7, linestyle='--',
@@ -138,7 +144,7 @@ def _draw_body(axes, across: int, up: int, length: float, frame: str) -> None:
     axes.plot(0, 0, 's', color=GREY, markersize=5, label=frame)
 
 
-def _draw_spread(axes, centre: np.ndarray, covariance: np.ndarray, factor: float) -> None:
+def _draw_spread(axes: Axes, centre: np.ndarray, covariance: np.ndarray, factor: float) -> None:
     """Draw one sigma of the place, enlarged."""
     values, vectors = np.linalg.eigh(covariance)
     if not values[-1] > 0 or factor <= 0:

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
@@ -90,7 +91,7 @@ def _floor_to_dict(floor: Floor | NoEstimate) -> dict[str, Any]:
             'kind': floor.kind, 'values': dict(floor.values), 'reason': floor.reason}
 
 
-def _floor_from_dict(stored: dict | None) -> Floor | NoEstimate | None:
+def _floor_from_dict(stored: dict[str, Any] | None) -> Floor | NoEstimate | None:
     if stored is None:
         return None
     if 'kind' in stored:
@@ -128,7 +129,7 @@ def known_angles(mount: Mount) -> dict[str, float | None]:
             for name, value in mount.angles.items()}
 
 
-def mount_from_dict(stored: dict | None) -> Mount | NoEstimate | None:
+def mount_from_dict(stored: dict[str, Any] | None) -> Mount | NoEstimate | None:
     """
     Turn what `mount_to_dict` gives back into a mount; None for None.
 
@@ -170,9 +171,9 @@ def mount_from_dict(stored: dict | None) -> Mount | NoEstimate | None:
             float(stored['axis']['sigma'])))
 
 
-def _number(value) -> float:
+def _number(value: float | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def _numbers(rows) -> np.ndarray:
+def _numbers(rows: Iterable[Iterable[float | None]]) -> np.ndarray:
     return np.array([[_number(value) for value in row] for row in rows], float)

@@ -22,7 +22,7 @@ fixed axes (rad).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -135,7 +135,7 @@ def _number(value: float) -> str:
     return f'{0.0 if abs(value) < 5e-13 else float(value):.12g}'
 
 
-def _numbers(values) -> str:
+def _numbers(values: Iterable[float]) -> str:
     return ' '.join(map(_number, values))
 
 

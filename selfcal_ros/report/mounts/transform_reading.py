@@ -21,9 +21,12 @@ from itertools import takewhile
 import json
 from pathlib import Path
 import re
+from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mount import Mount, TURN
@@ -97,7 +100,7 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME, which: str | Non
                          '--robot.') from None
 
 
-def _pose(place, quaternion) -> np.ndarray:
+def _pose(place: ArrayLike, quaternion: ArrayLike) -> np.ndarray:
     """Return a matrix (4, 4)."""
     place, quaternion = np.array(place, float), np.array(quaternion, float)
     length = float(np.linalg.norm(quaternion))
@@ -164,13 +167,13 @@ def _from_urdf(text: str) -> StoredTransform:
                            about=_about(line for one in comments for line in one.splitlines()))
 
 
-def _link(joint, end: str) -> str:
+def _link(joint: Element, end: str) -> str:
     """Return the name of the parent or the child of a joint."""
     found = joint.find(end)
     return '' if found is None else str(found.get('link', ''))
 
 
-def _from_yaml(document) -> tuple[str, StoredTransform]:
+def _from_yaml(document: dict[str, Any]) -> tuple[str, StoredTransform]:
     """Read easy_handeye's files, or the parameters of static_transform_publisher."""
     if 'parameters' in document:
         names = document['parameters']
@@ -212,7 +215,7 @@ def _from_result(text: str, source: str, child: str, which: str | None) -> Store
         raise InputError(f'{source}: {error}') from None
 
 
-def stored_of(stored: dict, which: str | None, source: str) -> dict:
+def stored_of(stored: dict[str, Any], which: str | None, source: str) -> dict[str, Any]:
     """
     Return what a result.json says of one camera: all of it, unless it is of a rig.
 
@@ -227,4 +230,5 @@ def stored_of(stored: dict, which: str | None, source: str) -> dict:
         return stored
     if which not in cameras:
         raise InputError(f'{source} has no camera {which}; it has {", ".join(cameras)}.')
-    return cameras[which]
+    plain: dict[str, Any] = cameras[which]
+    return plain

@@ -20,7 +20,7 @@ turned. What the world and the unit are stands in `CameraPath`, and in the head 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +157,6 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     return found
 
 
-def _numbers(values) -> tuple[str, ...]:
+def _numbers(values: Iterable[float]) -> tuple[str, ...]:
     """Return numbers so that they come back as they are; no negative zero."""
     return tuple(repr(float(value) + 0.0) for value in values)

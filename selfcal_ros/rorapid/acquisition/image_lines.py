@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.edges.line_segments import line_segments
@@ -48,10 +49,11 @@ class Corner:
     """
 
     xy: np.ndarray
-    lines: frozenset
+    lines: frozenset[int]
 
 
-def refine_lines(image: np.ndarray, segments, reach_px: int = 5) -> tuple[np.ndarray, np.ndarray]:
+def refine_lines(image: np.ndarray, segments: ArrayLike, reach_px: int = 5,
+                 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Move line segments onto the edges beside them.
 
@@ -74,7 +76,8 @@ def refine_lines(image: np.ndarray, segments, reach_px: int = 5) -> tuple[np.nda
     return _refined(image, segments, reach_px)[:2]
 
 
-def _refined(image, segments, reach_px):
+def _refined(image: np.ndarray, segments: ArrayLike, reach_px: int,
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Refine lines; returns their height of arch as a share of the length as well, (N,)."""
     segments = np.array(segments, float).reshape(-1, 2, 2)
     support, arch = np.zeros((2, len(segments)))
@@ -101,7 +104,8 @@ def _refined(image, segments, reach_px):
     return segments, support, arch
 
 
-def _robust_line(at, offset):
+def _robust_line(at: np.ndarray, offset: np.ndarray,
+                 ) -> tuple[np.ndarray, float, float, float] | None:
     """Fit offset = height + slope at; returns the two, the share near it, and its arch."""
     good = np.isfinite(offset)
     if good.sum() < 5:
@@ -154,7 +158,8 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
     segments = segments[order[lengths[order] >= least_length_px]]
     left, right = side_greys(image, segments)
     segments = np.where((left < right)[:, None, None], segments[:, ::-1], segments)
-    return segments[np.abs(left - right) >= least_contrast]
+    contrasted: np.ndarray = segments[np.abs(left - right) >= least_contrast]
+    return contrasted
 
 
 def side_greys(image: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,7 +182,7 @@ def side_greys(image: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.
     return greys[0], greys[1]
 
 
-def _joined(segments):
+def _joined(segments: np.ndarray) -> np.ndarray:
     """Join pieces of one line that touch, the longest first."""
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     left, joined = segments[np.argsort(-lengths, kind='stable')], []
@@ -215,7 +220,7 @@ def find_corners(segments: np.ndarray, meet_px: float = _MEET_PX) -> list[Corner
     list of Corner
 
     """
-    groups: list[tuple] = []
+    groups: list[tuple[np.ndarray | None, set[int]]] = []
     ends = segments.reshape(-1, 2)
     gap = np.linalg.norm(ends[:, None] - ends, axis=2)
     gap = gap.reshape(len(segments), 2, len(segments), 2)
@@ -224,7 +229,8 @@ def find_corners(segments: np.ndarray, meet_px: float = _MEET_PX) -> list[Corner
         xy = intersection(segments[[i, j]])
         if xy is not None and max(np.hypot(*(segments[k] - xy).T).min()
                                   for k in (i, j)) < meet_px:
-            near = [g for g in groups if np.hypot(*(g[0] - xy)) < 0.5 * meet_px and g[1] & {i, j}]
+            near = [g for g in groups if g[0] is not None
+                    and np.hypot(*(g[0] - xy)) < 0.5 * meet_px and g[1] & {i, j}]
             merged = {int(i), int(j)}.union(*(g[1] for g in near))
             groups = [g for g in groups if not any(g is n for n in near)]
             groups.append((intersection(segments[sorted(merged)]), merged))
@@ -240,10 +246,12 @@ def intersection(segments: np.ndarray) -> np.ndarray | None:
     if smallest**2 < 1 - np.cos(_MIN_ANGLE_RAD):
         return None
     offsets = (normals * segments[:, 0]).sum(axis=1)
-    return np.linalg.lstsq(normals, offsets, rcond=None)[0]
+    nearest: np.ndarray = np.linalg.lstsq(normals, offsets, rcond=None)[0]
+    return nearest
 
 
-def refine_vertices(image: np.ndarray, vertices_px, lines, reach_px: int = 5) -> np.ndarray:
+def refine_vertices(image: np.ndarray, vertices_px: ArrayLike, lines: ArrayLike, reach_px: int = 5,
+                    ) -> np.ndarray:
     """
     Move clicked vertices to where the edges between them intersect.
 

@@ -22,6 +22,7 @@ images is a line of the model. `acquire_model` makes the model of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -30,7 +31,8 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.rorapid.acquisition.image_lines import detect_lines, find_corners, refine_lines
+from selfcal_ros.rorapid.acquisition.image_lines import (Corner, detect_lines, find_corners,
+                                                         refine_lines)
 
 #: Half side of the square that is compared around corners, pixels.
 _HALF = 9
@@ -60,11 +62,11 @@ class MatchedVertices:
 
     first_px: np.ndarray
     second_px: np.ndarray
-    lines: list
+    lines: list[tuple[int, int]]
 
 
-def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
-                   region: tuple | None = None,
+def match_vertices(first: np.ndarray, second: np.ndarray, camera: Camera, rng: np.random.Generator,
+                   region: tuple[float, float, float, float] | None = None,
                    largest_motion_px: float = 150.0) -> MatchedVertices | NoEstimate:
     """
     Find the corners of lines that two images related by a pure translation share.
@@ -100,10 +102,10 @@ def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
     places = [np.array([c.xy for c in found]).reshape(-1, 2) for found in corners]
     allowed = _within(places[0], region)
     a, b = _proposed(first, second, places[0], places[1], allowed, largest_motion_px)
-    chosen = _agreeing(camera, places[0][a], places[1][b], rng)
-    if chosen is None:
+    agreeing = _agreeing(camera, places[0][a], places[1][b], rng)
+    if agreeing is None:
         return NoEstimate('corners_disagree', corners=len(a))
-    chosen, epipole = chosen
+    chosen, epipole = agreeing
     a, b = _guided(first, second, camera, epipole, lines, corners, (a[chosen], b[chosen]), allowed)
     places = [places[0][a], places[1][b]]
     pairs = _connected((first, second), places,
@@ -115,14 +117,17 @@ def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
     return MatchedVertices(places[0][used], places[1][used], pairs)
 
 
-def _within(places, region):
+def _within(places: np.ndarray, region: tuple[float, float, float, float] | None) -> np.ndarray:
     if region is None:
         return np.ones(len(places), bool)
     left, top, right, bottom = region
-    return ((places >= [left, top]) & (places <= [right, bottom])).all(axis=1)
+    inside = (places >= [left, top]) & (places <= [right, bottom])
+    return np.asarray(inside.all(axis=1))
 
 
-def _proposed(first, second, places_a, places_b, allowed, largest_motion_px):
+def _proposed(first: np.ndarray, second: np.ndarray, places_a: np.ndarray, places_b: np.ndarray,
+              allowed: np.ndarray, largest_motion_px: float,
+              ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of corners that correlate best with each other, both ways."""
     none = np.zeros(0, int)
     if not len(places_a) or not len(places_b):
@@ -136,7 +141,7 @@ def _proposed(first, second, places_a, places_b, allowed, largest_motion_px):
     return a[mutual], b[mutual]
 
 
-def _patches(image, places):
+def _patches(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Normalised neighbourhoods of places (N, 2), one a row."""
     at = np.arange(-_HALF, _HALF + 1, dtype=np.float32)
     x = places[:, 0, None, None].astype(np.float32) + at
@@ -145,10 +150,12 @@ def _patches(image, places):
     values = cv2.remap(cv2.GaussianBlur(image, (0, 0), 1.0), x, y, cv2.INTER_LINEAR,
                        borderMode=cv2.BORDER_REPLICATE).astype(float)
     values -= values.mean(axis=1, keepdims=True)
-    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
+    unit: np.ndarray = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
+    return unit
 
 
-def _agreeing(camera, xy_a, xy_b, rng, trials=500):
+def _agreeing(camera: Camera, xy_a: np.ndarray, xy_b: np.ndarray, rng: np.random.Generator,
+              trials: int = 500) -> tuple[np.ndarray, np.ndarray] | None:
     """Rows of the matches that agree on one translation ahead, and its epipole; None: no four."""
     if len(xy_a) < 4:
         return None
@@ -171,7 +178,8 @@ def _agreeing(camera, xy_a, xy_b, rng, trials=500):
     return chosen
 
 
-def _fit(e, x, y, focal):
+def _fit(e: np.ndarray, x: np.ndarray, y: np.ndarray, focal: float,
+         ) -> tuple[np.ndarray, np.ndarray]:
     """Distance from the epipolar line in pixels and inverse depth of pairs x, y (..., 3)."""
     line = np.cross(e, x)
     miss = focal * np.abs((line * y).sum(axis=-1)) / np.maximum(
@@ -182,7 +190,11 @@ def _fit(e, x, y, focal):
         (slope**2).sum(axis=-1), 1e-12)
 
 
-def _guided(first, second, camera, e, lines, corners, matches, allowed):
+def _guided(first: np.ndarray, second: np.ndarray, camera: Camera, e: np.ndarray,
+            lines: Sequence[np.ndarray], corners: Sequence[Sequence[Corner]],
+            matches: tuple[np.ndarray, np.ndarray],
+            allowed: np.ndarray,
+            ) -> tuple[np.ndarray, np.ndarray]:
     """Add corners before a changing background: lines meet there in the same directions."""
     a, b = matches
     places = [np.array([c.xy for c in found]) for found in corners]
@@ -208,16 +220,18 @@ def _guided(first, second, camera, e, lines, corners, matches, allowed):
     return np.concatenate([a, left[mutual]]), np.concatenate([b, right[best[mutual]]])
 
 
-def _directions(corner, lines):
+def _directions(corner: Corner, lines: np.ndarray) -> np.ndarray:
     """Angles at which lines leave a corner, radians."""
     ends = lines[sorted(corner.lines)]
     nearer = np.linalg.norm(ends - corner.xy, axis=2).argmin(axis=1)
     rows = np.arange(len(ends))
     way = ends[rows, 1 - nearer] - ends[rows, nearer]
-    return np.arctan2(way[:, 1], way[:, 0])
+    angles: np.ndarray = np.arctan2(way[:, 1], way[:, 0])
+    return angles
 
 
-def _connected(images, places, corners):
+def _connected(images: Sequence[np.ndarray], places: Sequence[np.ndarray],
+               corners: Sequence[Sequence[Corner]]) -> list[tuple[int, int]]:
     """Pairs of matched corners with a line between them in one image, and an edge in both."""
     pairs = [(i, j) for i in range(len(places[0])) for j in range(i + 1, len(places[0]))
              if any(own[i].lines & own[j].lines for own in corners)]

@@ -34,6 +34,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from selfcal_ros.errors import InputError
@@ -66,20 +67,19 @@ class PickedVertices:
 
     """
 
-    names: tuple
+    names: tuple[str, ...]
     first_px: np.ndarray
     second_px: np.ndarray
-    lines: tuple
-    faces: tuple
-    ellipses: tuple
-    frame: tuple | None
+    lines: tuple[tuple[int, int], ...]
+    faces: tuple[tuple[int, ...], ...]
+    ellipses: tuple[tuple[int, np.ndarray], ...]
+    frame: tuple[int, int, int] | None
 
     @property
-    def edges(self) -> list:
+    def edges(self) -> list[tuple[int, int]]:
         """All pairs of vertices between which an edge is seen, borders of faces included."""
-        borders = {tuple(sorted((face[k - 1], face[k]))) for face in self.faces
-                   for k in range(len(face))}
-        return sorted(borders | {tuple(sorted(line)) for line in self.lines})
+        borders = {(face[k - 1], face[k]) for face in self.faces for k in range(len(face))}
+        return sorted({(min(pair), max(pair)) for pair in borders.union(self.lines)})
 
     def refined(self, first: np.ndarray, second: np.ndarray,
                 reach_px: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +101,7 @@ class PickedVertices:
                 refine_vertices(second, self.second_px, self.edges, reach_px))
 
 
-def read_picked(path) -> PickedVertices:
+def read_picked(path: str | Path) -> PickedVertices:
     """
     Read a file of picked vertices.
 
@@ -130,7 +130,7 @@ def read_picked(path) -> PickedVertices:
         raise InputError(f'{path}: {error}') from None
 
 
-def _picked(data) -> PickedVertices:
+def _picked(data: Any) -> PickedVertices:
     if not isinstance(data, dict) or not isinstance(data.get('vertices'), dict):
         raise InputError('a file of picked vertices has "vertices:", and under it a line '
                          '"name: [u, v, u, v]" for each.')
@@ -147,26 +147,29 @@ def _picked(data) -> PickedVertices:
         names, rows.values())]).reshape(-1, 4)
     index = {name: k for k, name in enumerate(names)}
     faces = [_vertices(row, index, f'face {k}', 3) for k, row in enumerate(_list(data, 'faces'))]
-    lines = [_vertices(row, index, f'line {k}', 2, 2)
-             for k, row in enumerate(_list(data, 'lines'))]
+    lines = []
+    for k, row in enumerate(_list(data, 'lines')):
+        start, end = _vertices(row, index, f'line {k}', 2, 2)
+        lines.append((start, end))
     if not faces and not lines:
         raise InputError('name lines or faces between the vertices.')
     ellipses = [_ellipse(row, k, len(faces)) for k, row in enumerate(_list(data, 'ellipses'))]
-    frame = data.get('frame')
-    if frame is not None:
-        frame = _vertices(frame, index, 'the frame', 3, 3)
+    frame = None
+    if data.get('frame') is not None:
+        origin, on_x, on_plane = _vertices(data['frame'], index, 'the frame', 3, 3)
+        frame = origin, on_x, on_plane
     return PickedVertices(names, places[:, :2], places[:, 2:], tuple(lines), tuple(faces),
                           tuple(ellipses), frame)
 
 
-def _list(data, key) -> list:
+def _list(data: Any, key: str) -> list[Any]:
     rows = data.get(key) or []
     if not isinstance(rows, list):
         raise InputError(f'"{key}:" must be a list.')
     return rows
 
 
-def _numbers(row, count, what) -> list:
+def _numbers(row: Any, count: int, what: str) -> list[float]:
     if not isinstance(row, list) or len(row) != count or not all(
             isinstance(value, (int, float)) and not isinstance(value, bool)
             and math.isfinite(value) and abs(value) < 1e6 for value in row):
@@ -174,7 +177,8 @@ def _numbers(row, count, what) -> list:
     return [float(value) for value in row]
 
 
-def _vertices(row, index, what, least, most=None) -> tuple:
+def _vertices(row: Any, index: dict[str, int], what: str, least: int, most: int | None = None,
+              ) -> tuple[int, ...]:
     if not isinstance(row, list) or len(row) < least or (most and len(row) > most):
         wanted = f'{least}' if most else f'{least} or more'
         raise InputError(f'{what} must be a list of {wanted} vertices.')
@@ -187,7 +191,7 @@ def _vertices(row, index, what, least, most=None) -> tuple:
     return found
 
 
-def _ellipse(row, k, faces):
+def _ellipse(row: Any, k: int, faces: int) -> tuple[int, np.ndarray]:
     what = f'ellipse {k}'
     if not isinstance(row, dict) or set(row) != {'face', 'points'}:
         raise InputError(f'{what} must have "face:" and "points:".')

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from selfcal_ros.geometry.polygon import newell_normal
@@ -24,7 +26,7 @@ from selfcal_ros.geometry.rotation import align_z
 _FLAT = 0.03
 
 
-def plane_loops(vertices: np.ndarray, pairs) -> list[tuple]:
+def plane_loops(vertices: np.ndarray, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
     """
     Find the smallest closed loops of lines that lie in one plane, up to markings on faces.
 
@@ -44,8 +46,8 @@ def plane_loops(vertices: np.ndarray, pairs) -> list[tuple]:
     for i, j in pairs:
         around.setdefault(i, set()).add(j)
         around.setdefault(j, set()).add(i)
-    tolerance = _FLAT * np.linalg.norm(np.ptp(vertices, axis=0))
-    loops: dict[frozenset[int], tuple] = {}
+    tolerance = _FLAT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    loops: dict[frozenset[int], tuple[int, ...]] = {}
     for corner, neighbours in around.items():
         for start in neighbours:
             for end in neighbours - {start}:
@@ -55,14 +57,15 @@ def plane_loops(vertices: np.ndarray, pairs) -> list[tuple]:
     return _without_markings(vertices, list(loops.values()), tolerance)
 
 
-def _without_markings(vertices, loops, tolerance):
+def _without_markings(vertices: np.ndarray, loops: list[tuple[int, ...]], tolerance: float,
+                      ) -> list[tuple[int, ...]]:
     """Leave out what is drawn on a face: a loop inside of another one in the same plane."""
     return [loop for loop in loops
             if not any(_encloses(vertices[list(other)], vertices[list(loop)], tolerance)
                        for other in loops if not set(other) & set(loop))]
 
 
-def _encloses(outer, inner, tolerance) -> bool:
+def _encloses(outer: np.ndarray, inner: np.ndarray, tolerance: float) -> bool:
     """Whether the polygon `outer` (n, 3) holds all points `inner` (m, 3), in its plane."""
     normal = newell_normal(outer)
     normal = normal / np.linalg.norm(normal)
@@ -79,7 +82,8 @@ def _encloses(outer, inner, tolerance) -> bool:
     return bool((crossings % 2 == 1).all())
 
 
-def _walk(vertices, around, begin, tolerance):
+def _walk(vertices: np.ndarray, around: dict[int, set[int]], begin: tuple[int, int, int],
+          tolerance: float) -> tuple[int, ...] | None:
     """Follow the first three vertices in their plane, always turning inwards; None: no loop."""
     a, b, c = vertices[list(begin)]
     normal = np.cross(b - a, c - b)
@@ -108,9 +112,9 @@ def _walk(vertices, around, begin, tolerance):
     return None
 
 
-def _turns_once(points, normal):
+def _turns_once(points: np.ndarray, normal: np.ndarray) -> bool:
     """Whether a loop goes around once, to the left of its normal."""
     way = np.roll(points, -1, axis=0) - points
     before = np.roll(way, 1, axis=0)
     turns = np.arctan2(np.cross(before, way) @ normal, (before * way).sum(axis=1))
-    return abs(turns.sum() - 2 * np.pi) < 0.5
+    return bool(abs(turns.sum() - 2 * np.pi) < 0.5)

@@ -51,7 +51,7 @@ def point_jacobian(K: np.ndarray, e: np.ndarray, a: np.ndarray, b: np.ndarray) -
     a, b = (p @ inverse[:2, :2].T + inverse[:2, 2] for p in (a, b))
     basis = np.linalg.svd(e[None])[2][1:].T
 
-    def evaluate(e, a, b):
+    def evaluate(e: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Points, and sines between the epipolar lines' points: zero without noise."""
         h = np.ones((2, len(a), 3))
         h[0, :, :2], h[1, :, :2] = a, b
@@ -73,7 +73,8 @@ def point_jacobian(K: np.ndarray, e: np.ndarray, a: np.ndarray, b: np.ndarray) -
     jacobian = np.einsum('nij,jm->nim', common[:, :3], shift).reshape(count, 3, count, 4)
     each = np.arange(count)
     jacobian[each, :, each] += own[:, :3]
-    return size * jacobian.reshape(3 * count, 4 * count)
+    scaled: np.ndarray = size * jacobian.reshape(3 * count, 4 * count)
+    return scaled
 
 
 def blocks(covariance: np.ndarray) -> np.ndarray:
@@ -83,7 +84,8 @@ def blocks(covariance: np.ndarray) -> np.ndarray:
     return covariance.reshape(count, 3, count, 3)[each, :, each]
 
 
-def shape_covariances(points: np.ndarray, jacobian: np.ndarray, ends=None) -> np.ndarray:
+def shape_covariances(points: np.ndarray, jacobian: np.ndarray,
+                      ends: tuple[int, int] | None = None) -> np.ndarray:
     """
     Covariances of points where a turn and a shift of all of them together do not count.
 

@@ -21,10 +21,13 @@ known length supplies that, or the way that the camera went.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
@@ -100,8 +103,9 @@ class AcquiredModel:
     structure: TwoViewPoints
 
 
-def points_from_translation(first_px, second_px, camera: Camera, baseline_m: float | None = None,
-                            known_length: tuple | None = None,
+def points_from_translation(first_px: ArrayLike, second_px: ArrayLike, camera: Camera,
+                            baseline_m: float | None = None,
+                            known_length: tuple[int, int, float] | None = None,
                             sigma_px: float = SIGMA_PX) -> TwoViewPoints | NoEstimate:
     """
     Reconstruct points seen before and after a pure translation of the camera or the object.
@@ -171,7 +175,8 @@ def points_from_translation(first_px, second_px, camera: Camera, baseline_m: flo
                          size * moved, residuals, noise, sigma_px)
 
 
-def _scale_fact(count, baseline_m, known_length):
+def _scale_fact(count: int, baseline_m: float | None, known_length: tuple[int, int, float] | None,
+                ) -> Callable[[np.ndarray, np.ndarray], np.floating[Any]]:
     """Return the function of (points, moved) that gives metres per unit."""
     if (baseline_m is None) == (known_length is None):
         raise ArgumentError('Give either baseline_m, how far the camera went, or known_length, '
@@ -180,6 +185,7 @@ def _scale_fact(count, baseline_m, known_length):
         if not 0 < baseline_m < np.inf:
             raise ArgumentError(f'baseline_m must be positive, not {baseline_m!r}.')
         return lambda points, moved: baseline_m / np.linalg.norm(moved)
+    assert known_length is not None
     i, j, length = known_length
     if not (0 <= i < count and 0 <= j < count and i != j and 0 < length < np.inf):
         raise ArgumentError('known_length must be two different points and a positive length.')
@@ -187,9 +193,13 @@ def _scale_fact(count, baseline_m, known_length):
         return lambda points, moved: np.float64(length) / np.linalg.norm(points[i] - points[j])
 
 
-def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conics=(),
-                  frame: tuple | None = None, name: str = 'acquired', **facts,
-                  ) -> AcquiredModel | NoEstimate:
+def acquire_model(first_px: ArrayLike, second_px: ArrayLike, camera: Camera,
+                  lines: Sequence[tuple[int, int]] = (), faces: Sequence[Sequence[int]] = (),
+                  conics: Sequence[tuple[int, ArrayLike]] = (),
+                  frame: tuple[int, int, int] | None = None, name: str = 'acquired', *,
+                  baseline_m: float | None = None,
+                  known_length: tuple[int, int, float] | None = None,
+                  sigma_px: float = SIGMA_PX) -> AcquiredModel | NoEstimate:
     """
     Make a model of an object whose vertices were found in two translated views.
 
@@ -208,8 +218,8 @@ def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conic
         Three vertices: the origin, one on the x axis, one on the x-y plane. Default: the
         middle of the object, with the axes of the first view.
     name : str
-    **facts
-        `baseline_m`, `known_length` and `sigma_px` as for `points_from_translation`.
+    baseline_m, known_length, sigma_px
+        As for `points_from_translation`.
 
     Returns
     -------
@@ -221,13 +231,14 @@ def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conic
         If an index names no vertex, or a face or ellipse cannot be.
 
     """
-    structure = points_from_translation(first_px, second_px, camera, **facts)
+    structure = points_from_translation(first_px, second_px, camera, baseline_m, known_length,
+                                        sigma_px)
     if isinstance(structure, NoEstimate):
         return structure
     points = structure.points
     R, t = _object_frame(points, frame)
     vertices = (points - t) @ R
-    polygons = [Polygon(face) for face in faces]
+    polygons = [Polygon(tuple(face)) for face in faces]
     bare = WireframeModel.build(vertices, lines, polygons, name=name)
     ellipses = tuple(_conic_on_face(vertices[list(bare.faces[face].indices)], pixels, camera, R,
                                     t) for face, pixels in conics)
@@ -235,7 +246,8 @@ def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conic
     return AcquiredModel(model, R, t, structure)
 
 
-def _object_frame(points, frame):
+def _object_frame(points: np.ndarray, frame: tuple[int, int, int] | None,
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and translation object -> first view."""
     if frame is None:
         return np.eye(3), 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -250,7 +262,8 @@ def _object_frame(points, frame):
     return np.column_stack([x, np.cross(z, x), z]), origin
 
 
-def _conic_on_face(corners, pixels, camera, R, t):
+def _conic_on_face(corners: np.ndarray, pixels: ArrayLike, camera: Camera, R: np.ndarray,
+                   t: np.ndarray) -> Conic:
     """Fit an ellipse to pixels of the first view, on the plane of a face (object frame)."""
     pixels = np.asarray(pixels, float).reshape(-1, 2)
     if len(pixels) < 5:

@@ -23,10 +23,12 @@ a record on its line are parameters (``name=``, ``minLineLengthThreshold=``,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
 import re
+from typing import TypeVar
 
 import numpy as np
 
@@ -48,23 +50,26 @@ _PARAMETER = re.compile(r'\s*(name|minLineLengthThresh(?:old)?|minPolygonAreaThr
 _LOAD = re.compile(r'[lL]oad\s*\(\s*"([^"]+)"\s*((?:,\s*\w+\s*=\s*\[[^\]]*\]\s*)*)\)')
 _ARGUMENT = re.compile(r',\s*(\w+)\s*=\s*\[([^\]]*)\]')
 
+#: Of a record: whole numbers or others.
+_Number = TypeVar('_Number', int, float)
+
 
 @dataclass
 class _Parts:
     """What the files read so far hold, in the frame of the outermost one."""
 
-    vertices: list = field(default_factory=list)
-    lines: list = field(default_factory=list)
-    line_names: list = field(default_factory=list)
-    line_min_length_px: list = field(default_factory=list)
-    faces: list = field(default_factory=list)
-    conics: list = field(default_factory=list)
-    cylinders: list = field(default_factory=list)
+    vertices: list[np.ndarray] = field(default_factory=list)
+    lines: list[tuple[int, int]] = field(default_factory=list)
+    line_names: list[str] = field(default_factory=list)
+    line_min_length_px: list[float] = field(default_factory=list)
+    faces: list[Polygon] = field(default_factory=list)
+    conics: list[Conic] = field(default_factory=list)
+    cylinders: list[Cylinder] = field(default_factory=list)
     files: int = 0
     characters: int = 0
 
 
-def read_cao(path) -> WireframeModel:
+def read_cao(path: str | Path) -> WireframeModel:
     """
     Read a ``.cao`` file and all that it loads.
 
@@ -100,7 +105,7 @@ def read_cao(path) -> WireframeModel:
 class _Reader:
     """The records of one file, one after the other."""
 
-    def __init__(self, path):
+    def __init__(self, path: Path) -> None:
         """Split the file into lines; comments and empty lines are passed over."""
         self.path = path
         text = read_text(path)
@@ -110,7 +115,7 @@ class _Reader:
         self._next = 0
         self.number = 1
 
-    def fail(self, what) -> InputError:
+    def fail(self, what: str) -> InputError:
         """Return an error that names the line read last."""
         return InputError(f'{self.path}, line {self.number}: {what}')
 
@@ -122,7 +127,7 @@ class _Reader:
         """Return the next line without taking it."""
         return self._lines[self._next][1].strip()
 
-    def line(self, what) -> str:
+    def line(self, what: str) -> str:
         """Take a line."""
         if self.at_end():
             raise self.fail(f'the file ends where {what} should come.')
@@ -130,13 +135,14 @@ class _Reader:
         self._next += 1
         return line
 
-    def numbers(self, count, what, kind, rest=''):
+    def numbers(self, count: int, what: str, kind: Callable[[str], _Number], rest: str = '',
+                ) -> tuple[list[_Number], str]:
         """
         Take `count` numbers, from more than one line where needed, starting in `rest`.
 
         Returns the numbers and what is left of the last line.
         """
-        values = []
+        values: list[_Number] = []
         while len(values) < count:
             if not rest.strip() or rest.lstrip().startswith('#'):
                 rest = self.line(what)
@@ -147,7 +153,7 @@ class _Reader:
             rest = rest[word.end():]
         return values, rest
 
-    def _number(self, word, what, kind):
+    def _number(self, word: str, what: str, kind: Callable[[str], _Number]) -> _Number:
         try:
             value = kind(word)
         except ValueError:
@@ -156,14 +162,14 @@ class _Reader:
             raise self.fail(f'{word[:40]!r} is no finite number.')
         return value
 
-    def count(self, what) -> int:
+    def count(self, what: str) -> int:
         """Take the length of a list."""
         (count,), _ = self.numbers(1, f'the number of {what}', int)
         if not 0 <= count <= LIMIT:
             raise self.fail(f'{count} {what} are no sensible number; at most {LIMIT} may be.')
         return count
 
-    def parameters(self, rest) -> dict:
+    def parameters(self, rest: str) -> dict[str, str]:
         """Read the parameters behind a record; anything else there is a remark."""
         found: dict[str, str] = {}
         at = 0
@@ -174,7 +180,7 @@ class _Reader:
             at = match.end()
         return found
 
-    def threshold(self, parameters, key, default) -> float:
+    def threshold(self, parameters: dict[str, str], key: str, default: float) -> float:
         """Return the level-of-detail threshold of a record: 0 where ``useLod`` is not on."""
         if parameters.get('useLod', '').lower() not in ('true', '1'):
             return 0.0
@@ -184,7 +190,8 @@ class _Reader:
         return value
 
 
-def _read(path, rotation, translation, parts, above):
+def _read(path: Path, rotation: np.ndarray, translation: np.ndarray, parts: _Parts,
+          above: tuple[Path, ...]) -> None:
     """Add one file, placed by a rotation and a translation, to `parts`."""
     try:
         real = path.resolve()
@@ -200,9 +207,9 @@ def _read(path, rotation, translation, parts, above):
     parts.characters += reader.length
     if parts.characters > MAX_TOTAL:
         raise InputError(f'{path} makes the model longer than {MAX_TOTAL} characters.')
-    if not re.match(r'\s*V\d', reader.line('the version')):
+    version = re.match(r'\s*V(\d+)', reader.line('the version'))
+    if version is None:
         raise reader.fail('a .cao file begins with its version, V1.')
-    version = int(re.match(r'\s*V(\d+)', reader._lines[0][1]).group(1))
     loaded = False
     while not reader.at_end() and reader.peek()[:4].lower() == 'load':
         inner, R, t = _load_arguments(reader)
@@ -210,10 +217,10 @@ def _read(path, rotation, translation, parts, above):
               above + (real,))
         loaded = True
     if not (loaded and reader.at_end()):
-        _read_lists(reader, version, rotation, translation, parts)
+        _read_lists(reader, int(version.group(1)), rotation, translation, parts)
 
 
-def _load_arguments(reader):
+def _load_arguments(reader: _Reader) -> tuple[str, np.ndarray, np.ndarray]:
     """Take a ``load`` line: the file, and the rotation and translation that place it."""
     match = _LOAD.match(reader.line('a load').strip())
     if match is None:
@@ -236,7 +243,7 @@ def _load_arguments(reader):
     return match.group(1), R, t
 
 
-def _angle(reader, word):
+def _angle(reader: _Reader, word: str) -> float:
     """Return a number, in radians where it says that it is in degrees."""
     word = word.strip()
     unit = next((unit for unit in ('deg', 'rad') if word.endswith(unit)), '')
@@ -244,10 +251,11 @@ def _angle(reader, word):
     return math.radians(value) if unit == 'deg' else value
 
 
-def _read_lists(reader, version, rotation, translation, parts):
+def _read_lists(reader: _Reader, version: int, rotation: np.ndarray, translation: np.ndarray,
+                parts: _Parts) -> None:
     """Take the six lists of one file."""
     first = len(parts.vertices)
-    own = []
+    own: list[np.ndarray] = []
     for _ in range(reader.count('points')):
         # version 2 has the point's place in an image behind it, which is of no use here
         xyz, rest = reader.numbers(3, 'three coordinates', float)
@@ -258,7 +266,7 @@ def _read_lists(reader, version, rotation, translation, parts):
         own.append(rotation @ xyz + translation)
     parts.vertices += own
 
-    def point(index):
+    def point(index: int) -> int:
         if not 0 <= index < len(own):
             raise reader.fail(f'there is no point {index}; the file has {len(own)}, counted '
                               'from 0.')
@@ -294,7 +302,8 @@ def _read_lists(reader, version, rotation, translation, parts):
         raise reader.fail(f'a model may have at most {LIMIT} points, lines or faces.')
 
 
-def _read_cylinders(reader, own, point, parts):
+def _read_cylinders(reader: _Reader, own: list[np.ndarray], point: Callable[[int], int],
+                    parts: _Parts) -> None:
     for _ in range(reader.count('cylinders')):
         ends, rest = reader.numbers(2, 'two points of an axis', int)
         (radius,), rest = reader.numbers(1, 'the radius', float, rest)
@@ -307,7 +316,8 @@ def _read_cylinders(reader, own, point, parts):
             raise reader.fail(str(error)) from None
 
 
-def _read_circles(reader, own, point, parts):
+def _read_circles(reader: _Reader, own: list[np.ndarray], point: Callable[[int], int],
+                  parts: _Parts) -> None:
     for _ in range(reader.count('circles')):
         (radius,), rest = reader.numbers(1, 'the radius', float)
         indices, rest = reader.numbers(3, 'three points of a circle', int, rest)
@@ -324,7 +334,8 @@ def _read_circles(reader, own, point, parts):
                                   reader.parameters(rest).get('name', '')))
 
 
-def _line(reader, parts, own, first, pair, parameters):
+def _line(reader: _Reader, parts: _Parts, own: list[np.ndarray], first: int, pair: list[int],
+          parameters: dict[str, str]) -> list[int]:
     """Add a line; returns its two points, numbered within the file."""
     if not np.linalg.norm(own[pair[1]] - own[pair[0]]) > 0:
         raise reader.fail('this line has no length.')
@@ -335,21 +346,21 @@ def _line(reader, parts, own, first, pair, parameters):
     return pair
 
 
-def _face(reader, first, indices, parameters):
+def _face(reader: _Reader, first: int, indices: list[int], parameters: dict[str, str]) -> Polygon:
     if len(indices) < 3 or len(set(indices)) != len(indices):
         raise reader.fail('a face needs three points or more, none of them twice.')
-    return Polygon([first + i for i in indices], parameters.get('name', ''),
+    return Polygon(tuple(first + i for i in indices), parameters.get('name', ''),
                    reader.threshold(parameters, 'minPolygonAreaThreshold',
                                     DEFAULT_POLYGON_AREA_PX2))
 
 
-def _face_size(reader, count):
+def _face_size(reader: _Reader, count: int) -> int:
     if not 2 <= count <= FACE_LIMIT:
         raise reader.fail(f'a face of {count} points or lines cannot be; 2 to {FACE_LIMIT} may.')
     return count
 
 
-def _loop(reader, pairs):
+def _loop(reader: _Reader, pairs: list[list[int]]) -> list[int]:
     """Join lines, in whatever order and direction, to one closed loop of points."""
     left = [list(pair) for pair in pairs]
     loop = left.pop(0)

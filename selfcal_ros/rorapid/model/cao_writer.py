@@ -15,9 +15,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.values.output_files import atomic_write
@@ -27,7 +29,7 @@ from selfcal_ros.values.wireframe import Conic, WireframeModel
 _ROUND = 0.02
 
 
-def write_cao(model: WireframeModel, path, replace: bool = True) -> Path:
+def write_cao(model: WireframeModel, path: str | Path, replace: bool = True) -> Path:
     """
     Write a model as ViSP's ``.cao``, to a temporary file that is then renamed.
 
@@ -53,7 +55,7 @@ def write_cao(model: WireframeModel, path, replace: bool = True) -> Path:
     path = Path(path)
     points = [np.asarray(vertex, float) for vertex in model.vertices]
 
-    def point(xyz) -> int:
+    def point(xyz: ArrayLike) -> int:
         points.append(np.asarray(xyz, float))
         return len(points) - 1
 
@@ -75,17 +77,17 @@ def write_cao(model: WireframeModel, path, replace: bool = True) -> Path:
     return atomic_write(path, '\n'.join(parts) + '\n', replace)
 
 
-def _list(title, rows):
+def _list(title: str, rows: Sequence[str]) -> list[str]:
     return [f'# {title}', str(len(rows)), *rows]
 
 
-def _name(name) -> str:
+def _name(name: str) -> str:
     """Write a name as a parameter; quotes and line ends cannot be in it."""
     plain = ''.join(letter for letter in name if letter.isprintable() and letter not in '"#')
     return f' name="{plain}"' if plain else ''
 
 
-def _circle(conic: Conic, point, path) -> str:
+def _circle(conic: Conic, point: Callable[[np.ndarray], int], path: Path) -> str:
     u, v = np.linalg.norm(conic.axis_u), np.linalg.norm(conic.axis_v)
     if abs(u - v) > _ROUND * max(u, v) or abs(conic.axis_u @ conic.axis_v) > _ROUND * u * v:
         raise InputError(f'{path} cannot be written: a .cao file holds circles, but the model '

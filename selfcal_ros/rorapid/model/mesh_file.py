@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 
@@ -186,7 +187,7 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
                                            ).astype(float)
             continue
         if kind == 'ascii':
-            rows = [_row(line, properties) for line in lines[at:at + count]]
+            rows = [tuple(_row(line, properties)) for line in lines[at:at + count]]
             at += count
         else:
             rows, at = _rows(body, at, count, properties, _ORDERS[kind])
@@ -199,9 +200,9 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     return vertices, _cut(vertices, loops)
 
 
-def _row(words: list[str], properties: list[list[str]]) -> list:
+def _row(words: list[str], properties: list[list[str]]) -> list[Any]:
     """Values of one line of text: a word for each property, and a list of words for a list."""
-    row: list = []
+    row: list[Any] = []
     at = 0
     for kind, *_ in properties:
         if kind == 'list':
@@ -214,9 +215,10 @@ def _row(words: list[str], properties: list[list[str]]) -> list:
     return row
 
 
-def _rows(body: bytes, at: int, count: int, properties: list[list[str]], order: str):
+def _rows(body: bytes, at: int, count: int, properties: list[list[str]], order: str,
+          ) -> tuple[list[tuple[Any, ...]], int]:
     """Values of binary rows from a place on, as `_row` has them, and the place behind."""
-    rows: list = []
+    rows: list[tuple[Any, ...]] = []
     most = _TOGETHER
     while properties and len(rows) < count:
         lengths, place = [], at
@@ -243,9 +245,9 @@ def _rows(body: bytes, at: int, count: int, properties: list[list[str]], order: 
     return rows, at
 
 
-def _record(properties: list[list[str]], lengths: list[int], order: str) -> np.dtype:
+def _record(properties: list[list[str]], lengths: list[int], order: str) -> np.dtype[np.void]:
     """Layout of a binary row whose lists have these lengths: values v0, v1, ...; lengths n..."""
-    fields: list[tuple] = []
+    fields: list[tuple[Any, ...]] = []
     length = iter(lengths)
     for k, (kind, *rest) in enumerate(properties):
         if kind == 'list':

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from selfcal_ros.values.wireframe import WireframeModel
 _CORNERS = 64
 
 
-def write_obj(model: WireframeModel, path, replace: bool = True) -> Path:
+def write_obj(model: WireframeModel, path: str | Path, replace: bool = True) -> Path:
     """
     Write a model as ``.obj``, to a temporary file that is then renamed.
 
@@ -68,6 +69,6 @@ def write_obj(model: WireframeModel, path, replace: bool = True) -> Path:
                         replace)
 
 
-def _numbers(indices) -> str:
+def _numbers(indices: Iterable[int]) -> str:
     """Write indices as they are counted in the file, from 1."""
     return ' '.join(str(int(index) + 1) for index in indices)

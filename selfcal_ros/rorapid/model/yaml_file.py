@@ -40,6 +40,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
@@ -54,9 +55,11 @@ import yaml
 LARGEST_YAML = 2_000_000
 _LISTS = ('points', 'lines', 'faces', 'conics', 'circles', 'cylinders')
 _KEYS = {'model', 'face_borders', *_LISTS}
+#: Keys of a part of the model, and what they hold.
+_Entry: TypeAlias = dict[str, Any]
 
 
-def read_model_yaml(path) -> WireframeModel:
+def read_model_yaml(path: str | Path) -> WireframeModel:
     """
     Read a YAML model.
 
@@ -85,7 +88,7 @@ def read_model_yaml(path) -> WireframeModel:
         raise InputError(f'{path} is no model that can be used: {error}') from None
 
 
-def write_model_yaml(model: WireframeModel, path, replace: bool = True) -> Path:
+def write_model_yaml(model: WireframeModel, path: str | Path, replace: bool = True) -> Path:
     """
     Write a model as YAML, to a temporary file that is then renamed.
 
@@ -124,17 +127,17 @@ def write_model_yaml(model: WireframeModel, path, replace: bool = True) -> Path:
     return atomic_write(path, text, replace)
 
 
-def _floats(vector):
+def _floats(vector: np.ndarray) -> list[float]:
     return [float(value) for value in vector]
 
 
-def _entry(points, name, key, value):
+def _entry(points: list[int], name: str, key: str, value: float) -> _Entry | list[int]:
     """Plain list of points, or a mapping where there is more to say."""
     entry = _named({'points': points}, name, key, value)
     return entry if len(entry) > 1 else points
 
 
-def _named(entry, name, key='', value=0.0):
+def _named(entry: _Entry, name: str, key: str = '', value: float = 0.0) -> _Entry:
     if name:
         entry['name'] = name
     if value:
@@ -142,7 +145,7 @@ def _named(entry, name, key='', value=0.0):
     return entry
 
 
-def _model(data, name) -> WireframeModel:
+def _model(data: Any, name: str) -> WireframeModel:
     """Check what YAML gave and make the model."""
     if not isinstance(data, dict) or not any(key in data for key in _LISTS):
         raise ArgumentError('it must hold lists named points, lines and faces.')
@@ -167,7 +170,7 @@ def _model(data, name) -> WireframeModel:
     for k, entry in enumerate(lists['faces']):
         where = f'face {k}'
         indices, entry = _indices(entry, where, {'points', 'name', 'min_area_px2'})
-        faces.append(Polygon(indices, _name(entry, where),
+        faces.append(Polygon(tuple(indices), _name(entry, where),
                              _number(entry.get('min_area_px2', 0.0), where, least=0.0)))
     borders = data.get('face_borders', True)
     if not isinstance(borders, bool):
@@ -175,17 +178,18 @@ def _model(data, name) -> WireframeModel:
     make = WireframeModel.build if borders else WireframeModel
     return make(np.array(points), np.array(lines, int).reshape(-1, 2), tuple(faces),
                 line_names=tuple(names), line_min_length_px=np.array(lengths, float),
-                conics=_conics(lists), cylinders=_cylinders(lists),
+                conics=tuple(_conics(lists)), cylinders=tuple(_cylinders(lists)),
                 name=_name({'name': data.get('model', name)}, 'model'))
 
 
-def _conics(lists):
+def _conics(lists: dict[str, list[Any]]) -> list[Conic]:
     conics = []
     for k, entry in enumerate(lists['conics']):
         where = f'conic {k}'
         entry = _mapping(entry, where, {'centre', 'axis_u', 'axis_v'}, {'name'})
-        conics.append(Conic(*(_numbers(entry[key], 3, where)
-                              for key in ('centre', 'axis_u', 'axis_v')), _name(entry, where)))
+        centre, axis_u, axis_v = (np.array(_numbers(entry[key], 3, where))
+                                  for key in ('centre', 'axis_u', 'axis_v'))
+        conics.append(Conic(centre, axis_u, axis_v, _name(entry, where)))
     for k, entry in enumerate(lists['circles']):
         where = f'circle {k}'
         entry = _mapping(entry, where, {'centre', 'normal', 'radius'}, {'name'})
@@ -193,24 +197,24 @@ def _conics(lists):
         if not np.linalg.norm(normal) > 0:
             raise ArgumentError(f'{where} has no normal.')
         axes = _number(entry['radius'], where, least=0.0) * align_z(normal)
-        conics.append(Conic(_numbers(entry['centre'], 3, where), axes[:, 0], axes[:, 1],
+        conics.append(Conic(np.array(_numbers(entry['centre'], 3, where)), axes[:, 0], axes[:, 1],
                             _name(entry, where)))
     return conics
 
 
-def _cylinders(lists):
+def _cylinders(lists: dict[str, list[Any]]) -> list[Cylinder]:
     cylinders = []
     for k, entry in enumerate(lists['cylinders']):
         where = f'cylinder {k}'
         entry = _mapping(entry, where, {'start', 'end', 'radius'}, {'name', 'min_length_px'})
+        start, end = (np.array(_numbers(entry[key], 3, where)) for key in ('start', 'end'))
         cylinders.append(Cylinder(
-            _numbers(entry['start'], 3, where), _numbers(entry['end'], 3, where),
-            _number(entry['radius'], where), _name(entry, where),
+            start, end, _number(entry['radius'], where), _name(entry, where),
             _number(entry.get('min_length_px', 0.0), where, least=0.0)))
     return cylinders
 
 
-def _list(data, key):
+def _list(data: dict[str, Any], key: str) -> list[Any]:
     value = data.get(key)
     value = [] if value is None else value
     if not isinstance(value, list) or len(value) > LIMIT:
@@ -218,7 +222,7 @@ def _list(data, key):
     return value
 
 
-def _indices(entry, where, keys):
+def _indices(entry: Any, where: str, keys: set[str]) -> tuple[list[int], _Entry]:
     """Points of a line or face, and the mapping that they may come in."""
     if isinstance(entry, list):
         entry = {'points': entry}
@@ -230,20 +234,20 @@ def _indices(entry, where, keys):
     return indices, entry
 
 
-def _mapping(entry, where, needed, allowed):
+def _mapping(entry: object, where: str, needed: set[str], allowed: set[str]) -> _Entry:
     if not isinstance(entry, dict) or not needed <= set(entry) <= needed | allowed:
         raise ArgumentError(f'{where} must have the keys {", ".join(sorted(needed))}, and may '
                             f'have {", ".join(sorted(allowed - needed))}.')
     return entry
 
 
-def _numbers(value, count, where):
+def _numbers(value: object, count: int, where: str) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
         raise ArgumentError(f'{where} must have {count} numbers where it has coordinates.')
     return [_number(v, where) for v in value]
 
 
-def _number(value, where, least=-1e6):
+def _number(value: Any, where: str, least: float = -1e6) -> float:
     """Return a finite number; YAML 1.1 takes 1e-3 for a word."""
     try:
         number = math.nan if isinstance(value, (bool, list, dict)) else float(value)
@@ -254,7 +258,7 @@ def _number(value, where, least=-1e6):
     return number
 
 
-def _name(entry, where):
+def _name(entry: _Entry, where: str) -> str:
     name = entry.get('name', '')
     if not isinstance(name, (str, int, float)) or len(str(name)) > 200:
         raise ArgumentError(f'{where} must have a short word for its name.')
