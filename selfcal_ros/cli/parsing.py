@@ -102,6 +102,7 @@ class SentenceParser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)
         self.register('type', Path, _path)
 
+    # argparse also lets callers give a namespace class of their own, which nobody does here
     def parse_args(self, args: Sequence[str] | None = None,  # type: ignore[override]
                    namespace: argparse.Namespace | None = None) -> argparse.Namespace:
         """Let the verb that was given speak of words that nobody takes."""

@@ -162,8 +162,8 @@ class CameraFacts:
         Raises
         ------
         ArgumentError
-            If a stated pixel is far outside of the images, the skew larger than they are, or the
-            line delay more than rows can have.
+            If a stated pixel is far outside of the images, or the skew larger than they are. So
+            it is where the line delay is more than rows can have.
 
         """
         images, longer = f'images of {size[0]}x{size[1]} pixels', max(size)

@@ -84,6 +84,7 @@ class ObjectRecording(Recording):
         K[:2, :2] *= self.focal_px[index] / K[0, 0]
         return replace(self.camera, K=K)
 
+    # its renderer draws a window of the image, and takes none of the options of a whole scene
     def renderer(self, supersampling: int | None = None,  # type: ignore[override]
                  ) -> _WindowRenderer:
         """Return a renderer of this sequence; keep it, it holds the background."""
