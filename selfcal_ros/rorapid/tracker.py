@@ -178,6 +178,8 @@ class RorapidTracker:
         self._stamp_ns = None
         self._sighting.forget()
         self._jump.forget()
+        if self._method.verifier is not None:
+            self._method.verifier.disown()
         self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
         kalman = self._pose.kalman
         self._starting = StartSearch(kalman.state, kalman.pose_covariance.copy(),
@@ -343,15 +345,17 @@ class RorapidTracker:
         measured, other = starting.look(method, image, measured, wide)
         if other:
             self._pose.kalman.restart(measured.state, wide)
+            method.disown()
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
             self._plausibility.confirmed(starting.sure, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
-            method.glance(image, measured.state)
+            method.glance(image, measured)
             self._pose.kalman.absorb(measured.state, measured.covariance)
         if self._track_state.gives_up(good, starting.given_up(not good), self.options):
             self._pose.restart_wide(starting.guess)
+            method.disown()
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
 

@@ -20,9 +20,10 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
 from selfcal_ros.rorapid.texture.surface_views import SurfaceViews
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
-from selfcal_ros.synthetic.mesh_scenes import bean, MeshRenderer
-from selfcal_ros.synthetic.objects import object_poses
+from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer
+from selfcal_ros.synthetic.objects import object_poses, perturbed
 from selfcal_ros.values.mesh import MeshModel
 
 CAMERA = Camera(np.array([[520, 0, 320], [0, 520, 240], [0, 0, 1.0]]), (), 640, 480)
@@ -82,3 +83,38 @@ def test_a_view_that_is_not_the_first_is_dropped_when_its_corners_fail(scene):
         if any(one is last for one in views._views):
             views.judge(matches, np.zeros(len(matches.corner), bool))
     assert all(one is not last for one in views._views) and len(views._views) == 2
+
+
+def test_a_view_of_an_unconfirmed_pose_is_as_unsure_as_the_pose_and_may_be_disowned(scene):
+    model, centre, _, states, regions = scene
+    views = SurfaceViews(VisibleMesh(model), centre, Projection(CAMERA))
+    unsure = np.diag([0.05**2] * 3 + [0.01**2] * 3)
+    views.glance(regions[0], states[0], unsure)
+    matches = views.follow(regions[0], states[0])
+    assert matches is not None and np.allclose(matches.common, unsure)
+    views.disown()
+    assert not views.known
+    views.glance(regions[0], states[0], unsure)
+    views.learn(regions[0], states[0], True, unsure)
+    views.disown()
+    assert views.known
+
+
+@pytest.mark.parametrize('shape, seed', [(bean, 3), (handle, 22)])
+def test_a_pattern_does_not_draw_a_start_away_before_it_is_confirmed(shape, seed):
+    """The edges of the pattern drew these 10 and 12 degrees off, and called that tracked."""
+    vertices, faces = shape()
+    model = MeshModel.build(vertices, faces)
+    drawn = MeshRenderer(vertices, faces, CAMERA, textured=True)
+    poses = object_poses('general', 60, model.diameter_m, speed=0.7)
+    away = float(np.linalg.norm(poses[:, :, 3], axis=1).mean())
+    tracker = RorapidTracker(model, CAMERA, rng=np.random.default_rng(0))
+    tracker.start(*perturbed(poses[0][:, :3], poses[0][:, 3], np.random.default_rng(seed), 0.05,
+                             0.01 * away))
+    turned_deg = []
+    for k, pose in enumerate(poses[:24]):
+        found = tracker.track(drawn.render(pose, np.random.default_rng(k), 1.0))
+        if found.state is TrackerState.TRACKING:
+            cosine = (np.trace(found.rotation @ pose[:, :3].T) - 1) / 2
+            turned_deg.append(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
+    assert len(turned_deg) > 8 and max(turned_deg) < 6

@@ -98,5 +98,8 @@ class SearchingEstimator(PoseMeter, Protocol):
                   covariance: np.ndarray) -> Iterator[ObjectPose]:
         """Propose other poses, one at a time, the cheapest first."""
 
-    def glance(self, image: np.ndarray, state: ObjectPose) -> None:
+    def glance(self, image: np.ndarray, measured: PoseMeasurement) -> None:
         """Learn anew what object and background look like, from a pose that is not confirmed."""
+
+    def disown(self) -> None:
+        """Forget what was learned of the object at poses that were not confirmed."""

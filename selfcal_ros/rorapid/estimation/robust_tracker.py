@@ -324,9 +324,16 @@ class RobustTracker:
         self._edges.glance(image, self.control.view(guess))
         return self.measure(image, self.search.nearby(image, guess, covariance), covariance)
 
-    def glance(self, image: np.ndarray, state: ObjectPose) -> None:
+    def glance(self, image: np.ndarray, measured: PoseMeasurement) -> None:
         """Learn anew what object and background look like, from a state that is not confirmed."""
-        self._edges.glance(image, self.control.view(state))
+        self._edges.glance(image, self.control.view(measured.state))
+        details = measured.details
+        if self._use_texture and details is not None and details.region is not None:
+            self.texture.glance(details.region, measured.state, self._shown(measured))
+
+    def disown(self) -> None:
+        """Forget what the texture looked like at states that were not confirmed."""
+        self.texture.disown()
 
     def _conclude(self, region: Region | None, fit: EdgeFit,
                   corners: AgreeingCorners) -> PoseMeasurement:
@@ -367,12 +374,15 @@ class RobustTracker:
             if measured.recognised and matches is not None:
                 self.texture.judge(matches, details.agree)
             if measured.recognised or min(details.edge_share, measured.share) > EDGES_SUFFICIENT:
-                # a turn that the shape leaves open is counted from where the texture was learned
-                shown = with_turn_counted(self.basis @ measured.covariance @ self.basis.T,
-                                          self.control.free(measured.state))
-                self.texture.learn(region, measured.state, confirmed, shown[:6, :6])
+                self.texture.learn(region, measured.state, confirmed, self._shown(measured))
         if confirmed:
             self._views.remember(region, measured.state)
+
+    def _shown(self, measured: PoseMeasurement) -> np.ndarray:
+        """Covariance (6, 6) of the pose that texture is learned in: a free turn counts from it."""
+        shown: np.ndarray = with_turn_counted(self.basis @ measured.covariance @ self.basis.T,
+                                              self.control.free(measured.state))
+        return shown[:6, :6]
 
 
 def _no_corners(state: ObjectPose) -> AgreeingCorners:

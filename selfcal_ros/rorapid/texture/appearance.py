@@ -51,6 +51,12 @@ class AppearanceModel(Protocol):
               covariance: np.ndarray) -> None:
         """Take what an image shows at a measured pose of covariance (6, 6) (theta, Delta)."""
 
+    def glance(self, region: Region, state: ObjectPose, covariance: np.ndarray) -> None:
+        """Take what an image shows at a pose that is not confirmed, if nothing is known yet."""
+
+    def disown(self) -> None:
+        """Drop what was taken at poses that were not confirmed."""
+
 
 def appearance_of(visible: VisibleGeometry, centre: np.ndarray, projection: Projection,
                   most_points: int) -> AppearanceModel:

@@ -60,6 +60,7 @@ class _View:
     normals: np.ndarray         # (m, 3)
     texels: np.ndarray          # (m, 2)
     score: np.ndarray           # (m,) how often each corner agreed
+    confirmed: bool             # whether the object was known to be there
 
     def common(self, state: ObjectPose) -> np.ndarray:
         """Covariance (6, 6) of the view's pose, carried to the camera axes of a pose."""
@@ -185,6 +186,9 @@ class SurfaceViews:
             Of that pose (theta, Delta).
 
         """
+        if confirmed:
+            for view in self._views:
+                view.confirmed = True
         if self._chosen is not None:
             self._place(*self._chosen)
             self._chosen = None
@@ -200,18 +204,35 @@ class SurfaceViews:
         else:
             self._chosen = region, state, covariance, texels
 
+    def glance(self, region: Region, state: ObjectPose, covariance: np.ndarray) -> None:
+        """
+        Keep a first view at a pose that is not confirmed, with what is known of that pose.
+
+        Edges of a pattern draw a pose away from image to image. The view holds it where it began.
+        """
+        if self._views or self.projection.model in ('weak', 'affine'):
+            return
+        texels = self._choose(region, state)
+        if len(texels) >= _LEAST_CORNERS:
+            self._place(region, state, covariance, texels, confirmed=False)
+
+    def disown(self) -> None:
+        """Drop views of poses that were not confirmed."""
+        self._views = [view for view in self._views if view.confirmed]
+
     def _place(self, region: Region, state: ObjectPose, covariance: np.ndarray,
-               texels: np.ndarray) -> None:
+               texels: np.ndarray, confirmed: bool = True) -> None:
         """Put the corners (N, 2) of a view on the surface, and keep it."""
         aspect = self._aspect(state)
         points, normals, cosine = self._on_surface(region.outside(texels), state)
         good = cosine > _LEARN_COSINE
         if np.count_nonzero(good) < _LEAST_CORNERS:
-            self._plain = self._plain[-_MOST_VIEWS:] + [aspect]
+            if confirmed:
+                self._plain = self._plain[-_MOST_VIEWS:] + [aspect]
             return
         self._views = self._views[-_MOST_VIEWS + 1:] + [_View(
             region, state.rotation, covariance, aspect, points[good], normals[good],
-            texels[good], np.full(np.count_nonzero(good), _UNPROVEN))]
+            texels[good], np.full(np.count_nonzero(good), _UNPROVEN), confirmed)]
 
     @staticmethod
     def _aspect(state: ObjectPose) -> tuple[np.ndarray, float]:

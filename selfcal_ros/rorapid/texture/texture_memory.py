@@ -299,6 +299,12 @@ class TextureMemory:
                     continue
             self._take(face, picture, area, seen)
 
+    def glance(self, region: Region, state: ObjectPose, covariance: np.ndarray) -> None:
+        """Take nothing: a picture does not know how uncertain its pose was."""
+
+    def disown(self) -> None:
+        """Drop nothing: see `glance`."""
+
     def _take(self, face: Face, picture: np.ndarray, area: float, seen: np.ndarray | None) -> None:
         """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
         if face.young or area > _BETTER * face.quality:
