@@ -31,7 +31,7 @@ CALIBRATION: Courses = (
     (('Looking for the object', None), ('estimating', 10), ('writing', 60)))
 
 
-def rig_courses(names: Sequence[str]) -> tuple[tuple[tuple[str, float | None], ...], ...]:
+def rig_courses(names: Sequence[str]) -> Courses:
     """
     Return the courses of cameras that move together; measured on `euroc_v101`, 20 instants.
 
