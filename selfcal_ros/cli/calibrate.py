@@ -182,8 +182,8 @@ def _check_options(args: argparse.Namespace) -> None:
         raise ArgumentError(f'{option} and --motion {args.motion} exclude each other; leave one '
                             'of them out.')
     if args.views is not None and (args.motion != 'general' or args.views < 4):
-        raise ArgumentError('--views needs --motion general, and four or more; or limit the '
-                            'images with --max-keyframes.')
+        raise ArgumentError('--views needs --motion general, and at least 4 of them; or limit '
+                            'the images with --max-keyframes.')
     if args.parallel_objects and (args.motion != 'repeated' or args.translation_frames):
         raise ArgumentError('--parallel-objects needs --motion repeated, and no '
                             '--translation-frames.')

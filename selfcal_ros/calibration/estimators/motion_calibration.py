@@ -215,7 +215,7 @@ ATTEMPTS: tuple[Attempt[MotionsTried], ...] = (
     Attempt('other focal lengths', tried_when=_was_found, make=_begin_elsewhere),
     # Of calibrations the only one in doubt: the descent that began in a plane may have ended far
     # from the optimum of free motion.
-    Attempt('free motion from its own starts', tried_when=_rejects_much_beside_little_turns,
+    Attempt('free motion, its own starts', tried_when=_rejects_much_beside_little_turns,
             make=_try_free_motion_anew),
     # Before things that move, which would be blamed for it: a fact that is far off leaves no
     # start that explains the images.
@@ -226,7 +226,7 @@ ATTEMPTS: tuple[Attempt[MotionsTried], ...] = (
     Attempt('most coherent tracks', tried_when=_may_show_what_moves, make=_try_coherent_tracks,
             accepted=_answered),
     # Here where something seemed to move, but could not be parted.
-    Attempt('other focal lengths of all tracks', tried_when=_was_found_of_few,
+    Attempt('other focal lengths, all tracks', tried_when=_was_found_of_few,
             make=_begin_elsewhere),
     # Last, since only a zoom that stays needs it: a focal length that was held constant may have
     # hidden the plane.
