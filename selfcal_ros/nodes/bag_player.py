@@ -16,17 +16,21 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.nodes.entry_point import run_node
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
-def make_node():
+
+def make_node() -> Node:
     """Return the node; its imports take a second, hence not before they are wanted."""
     from selfcal_ros.nodes.player_node import BagPlayer
     return BagPlayer()
 
 
-def main(args=None) -> int:
+def main(args: list[str] | None = None) -> int:
     """Run the node; returns the exit status."""
     return run_node(make_node, args)
 

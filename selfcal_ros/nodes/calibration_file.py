@@ -52,7 +52,7 @@ class CalibrationFile:
 
     """
 
-    def __init__(self, camera_name: str, output: str = ''):
+    def __init__(self, camera_name: str, output: str = '') -> None:
         if not re.fullmatch(r'[A-Za-z0-9_]+', camera_name):
             raise ArgumentError('The parameter camera_name takes letters, digits and underscores, '
                                 f'not {camera_name!r}.')

@@ -28,7 +28,7 @@ UNDER_WAY = ('an estimate is under way; its result comes on ~/result',
              'whose result comes on ~/result')
 
 
-def calibration_status(state: SessionSnapshot) -> tuple[int, str, dict]:
+def calibration_status(state: SessionSnapshot) -> tuple[int, str, dict[str, Any]]:
     """
     Describe a session.
 

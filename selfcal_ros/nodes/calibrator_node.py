@@ -20,15 +20,18 @@ take for the motion of the camera unless told.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any, TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
 from msg_adapters.tracks import tracks_from_message
+import numpy as np
 from rclpy.node import Node
-from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.calibration_file import CalibrationFile
@@ -60,6 +63,9 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+if TYPE_CHECKING:
+    from selfcal_ros.nodes.estimation_process import EstimationProcess
+
 
 class CalibratorNode(Node):
     """
@@ -77,7 +83,9 @@ class CalibratorNode(Node):
 
     """
 
-    def __init__(self, name: str, table: type[CalibratorParameters], worker=EstimationWorker):
+    def __init__(self, name: str, table: type[CalibratorParameters],
+                 worker: Callable[[], EstimationWorker | EstimationProcess] = EstimationWorker,
+                 ) -> None:
         super().__init__(name)
         self.parameters = declare(self, table)
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
@@ -91,8 +99,9 @@ class CalibratorNode(Node):
         self._worker = worker()
         self._watch = ChangeWatch(self._session, self.get_logger(),
                                   monitor_settings(self.parameters), self._robot.told)
-        self._takers = {JobKind.ESTIMATE: self._take_estimate,
-                        JobKind.WINDOW_SCORE: self._watch.take}
+        self._takers: dict[JobKind, Callable[[JobResult[Any]], None]] = {
+            JobKind.ESTIMATE: self._take_estimate,
+            JobKind.WINDOW_SCORE: self._watch.take}
         self._types = rclpy_types()
         self._size = (0, 0)
         self._driver = SensorRoi(self, self._begin_anew)
@@ -100,7 +109,7 @@ class CalibratorNode(Node):
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # rclpy hands the number of a message to who takes two arguments, and its types know one
-        self.tracks = self.create_subscription(
+        self.tracks: Any = self.create_subscription(
             PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)  # type: ignore[arg-type]
         self._announced = self.create_subscription(
             CameraInfo, announcements_of(self.tracks.topic_name), self._on_announced, PER_IMAGE)
@@ -121,7 +130,7 @@ class CalibratorNode(Node):
         """Return the topics that are subscribed now."""
         return [self.tracks.topic_name] if self.tracks else []
 
-    def _check_change(self, new: CalibratorParameters):
+    def _check_change(self, new: CalibratorParameters) -> None:
         """Refuse parameters that contradict each other, or name what cannot be."""
         session_settings(new), monitor_settings(new)
         CalibrationFile(new.camera_name, new.output)
@@ -130,7 +139,7 @@ class CalibratorNode(Node):
         if new.publish_tf:
             transform_type('publish_tf')
 
-    def _change(self, new: CalibratorParameters, old: CalibratorParameters):
+    def _change(self, new: CalibratorParameters, old: CalibratorParameters) -> None:
         """Do what changed parameters say, from the next estimate on."""
         self._watchdog.limit_s = new.silence_s
         if new.output != old.output:
@@ -142,7 +151,7 @@ class CalibratorNode(Node):
         self._watch.change(monitor_settings(new))
         self._mount.change(new.publish_tf)
 
-    def _on_tracks(self, msg: PointCloud2, about: dict):
+    def _on_tracks(self, msg: PointCloud2, about: dict[str, Any]) -> None:
         self._watchdog.heard()
         self._count.arrive(about.get('publication_sequence_number'), len(msg.data),
                            alone=self.count_publishers(self.tracks.topic_name) <= 1)
@@ -160,32 +169,33 @@ class CalibratorNode(Node):
         if self._messages.is_first('tracks', stamp_ns(msg.header.stamp)):
             self._publish_camera_info(msg.header)
 
-    def _on_announced(self, msg: CameraInfo):
+    def _on_announced(self, msg: CameraInfo) -> None:
         """Publish the CameraInfo of an image whose tracks will follow."""
         # one of another size waits for its tracks, which begin anew
         if (msg.width, msg.height) == self._size and self._messages.is_first(
                 'announced', stamp_ns(msg.header.stamp)):
             self._publish_camera_info(msg.header)
 
-    def listen_no_more(self):
+    def listen_no_more(self) -> None:
         """End the subscriptions: tracks come by `take`."""
         for subscription in (self.tracks, self._announced):
             self.destroy_subscription(subscription)
         self.tracks = None
 
-    def announce(self, header, image_size: tuple[int, int]) -> None:
+    def announce(self, header: Message, image_size: tuple[int, int]) -> None:
         """Publish the CameraInfo of an image whose tracks will follow (`TracksListener`)."""
         self._watchdog.heard()
         self._size = image_size
         self._interrupted(self._session.expect(stamp_ns(header.stamp), image_size))
         self._publish_camera_info(header)
 
-    def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
+    def take(self, header: Message, image_size: tuple[int, int], ids: np.ndarray,
+             xy: np.ndarray) -> None:
         """Take the tracks of the image that was announced (`TracksListener`)."""
         self._session.add_tracks(stamp_ns(header.stamp), ids, xy, image_size)
         self._watch.offer(image_size)
 
-    def _publish_camera_info(self, header):
+    def _publish_camera_info(self, header: Message) -> None:
         self._mount.camera_frame = self.parameters.camera_frame or header.frame_id.lstrip('/')
         calibration = self._session.calibration
         camera = calibration.camera_of(self._session.newest) if calibration else None
@@ -193,7 +203,7 @@ class CalibratorNode(Node):
             camera = self._stored.of_images(self._driver, self._size)
         self._camera_info.publish(self._driver.message(camera, header, self._size, self._types))
 
-    def _estimate(self):
+    def _estimate(self) -> None:
         """Fetch a result that is ready, and start another estimate where that is worthwhile."""
         done = self._worker.poll()
         if done is not None:
@@ -213,7 +223,7 @@ class CalibratorNode(Node):
                                 partial(prepare_scene, self.parameters.world_frame)))
         return request.keyframes
 
-    def _take_estimate(self, done: JobResult[EstimateRequest]):
+    def _take_estimate(self, done: JobResult[EstimateRequest]) -> None:
         """Take a calibration, or the reason why there is none."""
         request, result, scene = done.job.request, done.value, done.prepared
         if not self._session.accept(request, result):
@@ -248,16 +258,16 @@ class CalibratorNode(Node):
             except SelfcalError as error:
                 self.get_logger().error(str(error), throttle_duration_sec=30.0)
 
-    def _publish_result(self, result):
+    def _publish_result(self, result: Calibration | NotCalibrated) -> None:
         self._result.publish(String(data=in_parameters(result_to_json(result))))
 
-    def _save(self, calibration) -> str:
+    def _save(self, calibration: Calibration) -> str:
         """Write the file and give it to a driver; returns what was done."""
         camera = self._driver.full_camera(calibration.camera)
         written = f'written to {self._file.write(calibration, camera)}'
         return '; '.join(filter(None, (written, self._upload.send(camera))))
 
-    def _interrupted(self, interruption: Interruption | None):
+    def _interrupted(self, interruption: Interruption | None) -> None:
         """Tell why tracks begin anew; a calibration in force stays where it is still one."""
         if interruption is None:
             return
@@ -268,11 +278,11 @@ class CalibratorNode(Node):
         self.get_logger().info(f'{interruption.reason}: tracks begin anew, the calibration stays '
                                'in force', throttle_duration_sec=5.0)
 
-    def _begin_anew(self, reason: str):
+    def _begin_anew(self, reason: str) -> None:
         self._session.reset()
         self._forgotten(reason)
 
-    def _forgotten(self, reason: str):
+    def _forgotten(self, reason: str) -> None:
         """Tell everybody that what was known is void."""
         self.get_logger().info(f'starting anew: {reason}')
         self._watch.forget()
@@ -280,7 +290,8 @@ class CalibratorNode(Node):
         self._mount.forget()
         self._scene.clear()
 
-    def _on_calibrate(self, _, response):
+    def _on_calibrate(self, _: Trigger.Request,
+                      response: Trigger.Response) -> Trigger.Response:
         self._watch.release()
         state = self._session.snapshot()
         if (state.calibration and not state.new_keyframes and not state.estimating
@@ -300,7 +311,7 @@ class CalibratorNode(Node):
             response.message = UNDER_WAY[state.abandoned]
         return response
 
-    def _on_reset(self, _, response):
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stored = None
         self._begin_anew('~/reset was called')
         response.success, response.message = True, 'starting anew'
@@ -312,7 +323,7 @@ class CalibratorNode(Node):
         return (self._stored is not None and self._stored.used
                 and self._session.calibration is None)
 
-    def _on_save(self, _, response):
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         calibration = self._session.calibration
         if calibration is None:
             failure = self._session.snapshot().failure
@@ -329,7 +340,7 @@ class CalibratorNode(Node):
             response.success, response.message = False, str(error)
         return response
 
-    def _diagnose(self):
+    def _diagnose(self) -> None:
         level, text, values = self._watch.judge(
             *calibration_status(self._session.snapshot()))
         values |= self._file.values(self._session.calibration)

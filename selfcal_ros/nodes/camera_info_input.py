@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from msg_adapters.camera_info import image_camera_from_info
+from rclpy.node import Node
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN
@@ -45,14 +46,14 @@ class CameraInfoInput:
 
     """
 
-    def __init__(self, node, topic: str, take: Callable[[Camera], object]):
+    def __init__(self, node: Node, topic: str, take: Callable[[Camera], object]) -> None:
         self._node, self._topic, self._take = node, topic, take
-        self._key: tuple | None = None
+        self._key: tuple[object, ...] | None = None
         self.problem = self.frame_id = ''
         # a publisher of CameraInfo may be of either reliability, too
         node.create_subscription(CameraInfo, topic, self._hear, IMAGES_IN)
 
-    def _hear(self, msg: CameraInfo):
+    def _hear(self, msg: CameraInfo) -> None:
         self.frame_id = msg.header.frame_id
         key = (msg.width, msg.height, msg.distortion_model, msg.k.tobytes(), bytes(msg.d),
                msg.binning_x, msg.binning_y, msg.roi.x_offset, msg.roi.y_offset, msg.roi.width,
@@ -77,7 +78,7 @@ class CameraInfoInput:
             f'fx {camera.K[0, 0]:.1f}, fy {camera.K[1, 1]:.1f} px')
         self._take(camera)
 
-    def _refuse(self, problem: str):
+    def _refuse(self, problem: str) -> None:
         self.problem = problem
         self._node.get_logger().warning(f'{self._topic} dropped: {problem}',
                                         throttle_duration_sec=5.0)

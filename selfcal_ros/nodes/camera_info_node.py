@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from msg_adapters.camera_info import camera_info_message, ImageWindow, window_of
 from msg_adapters.copied_camera import copied_camera, copied_message, CopiedCamera
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
@@ -42,13 +42,13 @@ from sensor_msgs.srv import SetCameraInfo
 class CameraInfoPublisher(Node):
     """Publishes `camera_info`, with the stamp and frame of the driver's own or of the images."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('camera_info_publisher')
         self.parameters = declare(self, CameraInfoPublisherParameters)
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.camera_info_url)
         self._types = rclpy_types()
         self._camera: CopiedCamera | None = None
-        self._modified_ns = None
+        self._modified_ns: int | None = None
         self._publisher = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         source = self.parameters.source
         if source == 'driver':
@@ -69,12 +69,13 @@ class CameraInfoPublisher(Node):
         self.create_timer(1.0, self._look, clock=STEADY)
         follow(self, self._check_change, self._change)
 
-    def _check_change(self, new: CameraInfoPublisherParameters):
+    def _check_change(self, new: CameraInfoPublisherParameters) -> None:
         """Refuse a file that cannot be read: the calibration in force is better than none."""
         if new.camera_info_url != self.parameters.camera_info_url:
             read_copied_camera(CalibrationFile(new.camera_name, new.camera_info_url).path)
 
-    def _change(self, new: CameraInfoPublisherParameters, old: CameraInfoPublisherParameters):
+    def _change(self, new: CameraInfoPublisherParameters,
+                old: CameraInfoPublisherParameters) -> None:
         """Do what changed parameters say."""
         self._watchdog.limit_s = new.silence_s
         if new.camera_info_url != old.camera_info_url:
@@ -83,7 +84,7 @@ class CameraInfoPublisher(Node):
             self._camera = self._modified_ns = None
             self._look()
 
-    def _look(self):
+    def _look(self) -> None:
         """Read the file where it is new."""
         try:
             modified_ns = self._file.path.stat().st_mtime_ns
@@ -107,7 +108,7 @@ class CameraInfoPublisher(Node):
                                       f'{self._file.camera_name!r}; used all the same')
         self.get_logger().info(f'calibration from {self._file.path}')
 
-    def _on_driver(self, msg: CameraInfo):
+    def _on_driver(self, msg: CameraInfo) -> None:
         self._watchdog.heard()
         try:
             window = window_of(msg)
@@ -118,13 +119,13 @@ class CameraInfoPublisher(Node):
         size = int(msg.width), int(msg.height)
         self._publish(msg.header, size, window)
 
-    def _on_image(self, msg: Image | CompressedImage):
+    def _on_image(self, msg: Image | CompressedImage) -> None:
         self._watchdog.heard()
         # a compressed image does not tell its size before it is decoded
         size = (int(msg.width), int(msg.height)) if isinstance(msg, Image) else (0, 0)
         self._publish(msg.header, size, ImageWindow())
 
-    def _publish(self, header, size: tuple[int, int], window: ImageWindow):
+    def _publish(self, header: Message, size: tuple[int, int], window: ImageWindow) -> None:
         camera = self._fitting(size)
         self._publisher.publish(
             camera_info_message(None, header, self._types, size, window) if camera is None
@@ -141,7 +142,8 @@ class CameraInfoPublisher(Node):
             'binning and region of interest', throttle_duration_sec=30.0)
         return None
 
-    def _on_set(self, request, response):
+    def _on_set(self, request: SetCameraInfo.Request,
+                response: SetCameraInfo.Response) -> SetCameraInfo.Response:
         """Take a calibration at once, and keep it in the file as camera_info_manager does."""
         try:
             camera = copied_camera(request.camera_info)

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Any, TYPE_CHECKING
+
 from msg_adapters.diagnostics import WARN
 
 from selfcal_ros.calibration.monitoring.camera_change import CHANGE_NAMES, MonitorSettings
@@ -25,6 +27,10 @@ from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.pipeline.estimate_request import EstimateRequest
 from selfcal_ros.pipeline.monitoring import AskRobot, Monitoring, MonitoringSnapshot, ScoreRequest
+from selfcal_ros.values.tracks import Tracks
+
+if TYPE_CHECKING:
+    from rclpy.impl.rcutils_logger import RcutilsLogger
 
 ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'
 
@@ -47,13 +53,13 @@ class ChangeWatch:
 
     """
 
-    def __init__(self, session: CalibrationSession, logger, settings: MonitorSettings | None,
-                 ask_robot: AskRobot | None = None):
+    def __init__(self, session: CalibrationSession, logger: RcutilsLogger,
+                 settings: MonitorSettings | None, ask_robot: AskRobot | None = None) -> None:
         self._session, self._logger, self._ask_robot = session, logger, ask_robot
         self._monitoring = Monitoring()
         self._settings: MonitorSettings | None = None
         self._scoring = False
-        self._watched: tuple | None = None
+        self._watched: tuple[Calibration, Tracks] | None = None
         self.change(settings)
 
     def change(self, settings: MonitorSettings | None) -> None:
@@ -118,7 +124,8 @@ class ChangeWatch:
         if self._monitoring.change is not None:
             self._session.keep_since(self._monitoring.change.clear_from_frame)
 
-    def judge(self, level, text: str, values: dict) -> tuple[int, str, dict]:
+    def judge(self, level: int, text: str,
+              values: dict[str, Any]) -> tuple[int, str, dict[str, Any]]:
         """Add the verdict to what `calibration_status` has said."""
         if self._settings is None:
             return level, text, values

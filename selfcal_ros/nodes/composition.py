@@ -28,8 +28,12 @@ from __future__ import annotations
 
 from importlib import import_module
 import sys
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.nodes.entry_point import run_nodes
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 #: What can be composed: the modules whose make_node() returns the node.
 COMPOSABLE = ('feature_tracker', 'planar_calibrator', 'affine_calibrator', 'rorapid_tracker',
@@ -57,7 +61,7 @@ def wanted_nodes(arguments: list[str]) -> tuple[str, ...]:
     return names
 
 
-def make_nodes(names: tuple[str, ...]) -> list:
+def make_nodes(names: tuple[str, ...]) -> list[Node]:
     """Make the nodes, and connect those that can talk without messages."""
     nodes = [import_module(f'selfcal_ros.nodes.{name}').make_node(**_options(name))
              for name in names]
@@ -65,7 +69,7 @@ def make_nodes(names: tuple[str, ...]) -> list:
     return nodes
 
 
-def _options(name: str) -> dict:
+def _options(name: str) -> dict[str, type]:
     """Return what a node is made with when it has company."""
     if not name.endswith('_calibrator'):
         return {}
@@ -73,7 +77,7 @@ def _options(name: str) -> dict:
     return {'worker': EstimationProcess}
 
 
-def hand_over(nodes: list) -> None:
+def hand_over(nodes: list[Any]) -> None:
     """
     Let trackers give their tracks to the calibrators among the nodes that subscribe to them.
 
@@ -87,7 +91,7 @@ def hand_over(nodes: list) -> None:
                 listener.listen_no_more()
 
 
-def main(args=None) -> int:
+def main(args: list[str] | None = None) -> int:
     """Run the nodes; returns the exit status."""
     arguments = sys.argv[1:] if args is None else list(args)
     return run_nodes(lambda: make_nodes(wanted_nodes(arguments)), args)

@@ -13,8 +13,15 @@
 # limitations under the License.
 """What a node is called in the diagnostics."""
 
+from __future__ import annotations
 
-def diagnostic_name(node) -> str:
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+def diagnostic_name(node: Node) -> str:
     """
     Return the name of a node with its namespace: left/planar_calibrator.
 

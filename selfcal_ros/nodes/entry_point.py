@@ -21,6 +21,14 @@ from importlib.util import find_spec
 import os
 import signal
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from rclpy.executors import Executor
+    from rclpy.node import Node
+    from rclpy.task import Future
 
 # nothing heavy here: until run_node is reached, Ctrl-C prints a traceback
 
@@ -34,12 +42,12 @@ class StopSignals:
     signals to rclpy, which calls this handler before its own.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.handed_over = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
 
-    def _stop(self, _, __):
+    def _stop(self, _: int, __: FrameType | None) -> None:
         if not self.handed_over:
             # no clean-up: half of what it would clean up is not there yet
             os._exit(0)
@@ -67,7 +75,7 @@ def usage(name: str) -> str:
         return '\n'.join([*lines, 'Runs these nodes in one process; each tells of its own '
                           'parameters: feature_tracker --help, for example.'])
 
-    def entry(head, text):
+    def entry(head: str, text: str) -> list[str]:
         return [f'  {head}', *textwrap.wrap(text, 90, initial_indent=' ' * 6,
                                             subsequent_indent=' ' * 6)]
 
@@ -104,7 +112,7 @@ def refusal(name: str, args: list[str]) -> str:
     return f'{text}; parameters follow --ros-args -p, and {name} --help lists them'
 
 
-def spin_until(executor, finished) -> None:
+def spin_until(executor: Executor, finished: Future) -> None:
     """
     Spin until a future is done.
 
@@ -115,7 +123,7 @@ def spin_until(executor, finished) -> None:
         executor.spin_once()
 
 
-def run_node(make_node: Callable, args: list[str] | None = None) -> int:
+def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Run one node until it is finished or told to stop; see `run_nodes`."""
     given = sys.argv[1:] if args is None else args
     name = program_name()
@@ -135,7 +143,7 @@ def asks_for_help(given: list[str]) -> bool:
     return bool({'-h', '--help'} & set(plain_arguments(given)))
 
 
-def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
+def run_nodes(make_nodes: Callable[[], list[Node]], args: list[str] | None = None) -> int:
     """
     Run nodes in one executor until they are finished or told to stop.
 
@@ -176,7 +184,7 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     except Exception as error:  # RCLError is private
         print(start_failure(error), file=sys.stderr)
         return 2
-    nodes = []
+    nodes: list[Node] = []
     try:
         # before the nodes: an executor whose making a signal interrupts complains as it goes
         executor = SingleThreadedExecutor()

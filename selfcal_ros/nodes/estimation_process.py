@@ -20,10 +20,14 @@ import multiprocessing
 from multiprocessing import resource_tracker
 import os
 import signal
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 #: The child yields to whoever has an image to follow.
 NICENESS = 5
@@ -41,11 +45,11 @@ class EstimationProcess:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[Job] = deque()
-        self._running: Job | None = None
+        self._waiting: deque[Job[Any]] = deque()
+        self._running: Job[Any] | None = None
         self._start()
 
-    def _start(self):
+    def _start(self) -> None:
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
         child = context.Process(target=_work, args=(theirs,), daemon=True,
@@ -61,12 +65,12 @@ class EstimationProcess:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job[Any]) -> None:
         """Queue a job."""
         self._waiting.append(job)
         self._send()
 
-    def _send(self):
+    def _send(self) -> None:
         """Send the next job once the child is idle: it reads at once then."""
         if self._running is None and self._waiting:
             self._running = self._waiting.popleft()
@@ -76,7 +80,7 @@ class EstimationProcess:
                 # poll() finds out, too, and tells
                 pass
 
-    def poll(self) -> JobResult | None:
+    def poll(self) -> JobResult[Any] | None:
         """Return what became of the next job that is done; None if none is."""
         if self._running is None or not self._pipe.poll():
             return None
@@ -91,7 +95,7 @@ class EstimationProcess:
         return result
 
 
-def _work(pipe) -> None:
+def _work(pipe: Connection) -> None:
     """Run jobs until the other end of the pipe is closed."""
     _yield_to_others()
     # now, and not when the first job waits

@@ -18,6 +18,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
+from typing import Any
 
 from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
 
@@ -38,22 +39,22 @@ class EstimationWorker:
         # be ended
         load_estimator()
         sys.setswitchinterval(SWITCH_S)
-        self._jobs: queue.Queue[Job] = queue.Queue()
-        self._results: queue.Queue[JobResult] = queue.Queue()
+        self._jobs: queue.Queue[Job[Any]] = queue.Queue()
+        self._results: queue.Queue[JobResult[Any]] = queue.Queue()
         threading.Thread(target=self._work, daemon=True, name='estimation').start()
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job[Any]) -> None:
         """Queue a job."""
         self._jobs.put(job)
 
-    def poll(self) -> JobResult | None:
+    def poll(self) -> JobResult[Any] | None:
         """Return what became of the next job that is done; None if none is."""
         try:
             return self._results.get_nowait()
         except queue.Empty:
             return None
 
-    def _work(self):
+    def _work(self) -> None:
         while True:
             job = self._jobs.get()
             self._results.put(JobResult(job, *job.run()))

@@ -23,9 +23,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.camera_info import camera_info_message
 from msg_adapters.diagnostics import diagnostics_message, OK, STALE, status_message, WARN
 from msg_adapters.image import image_message, ImageDecoder
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
 from msg_adapters.tracks import tracks_message
+import numpy as np
 from rclpy.node import Node
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.image_circle import CircleWatch
@@ -53,10 +54,11 @@ MINIMUM_SIDE_PX = 64
 class TracksListener(Protocol):
     """Somebody in this process who takes the tracks without a message in between."""
 
-    def announce(self, header, image_size: tuple[int, int]) -> None:
+    def announce(self, header: Message, image_size: tuple[int, int]) -> None:
         """An image has come; its tracks will follow in some milliseconds."""
 
-    def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
+    def take(self, header: Message, image_size: tuple[int, int], ids: np.ndarray,
+             xy: np.ndarray) -> None:
         """Take the tracks of the image that was announced."""
 
 
@@ -71,7 +73,7 @@ class FeatureTrackerNode(Node):
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('feature_tracker')
         self.parameters = declare(self, FeatureTrackerParameters)
         self.listeners: list[TracksListener] = []
@@ -81,7 +83,7 @@ class FeatureTrackerNode(Node):
         self._mask = _mask_of(self.parameters)
         self._circle = CircleWatch(every=5)
         self._drawing = TracksOverlay()
-        self._newest_ns = None
+        self._newest_ns: int | None = None
         self._size: tuple[int, int] | None = None
         self._sizes = SizeGuard()
         self._waiting: deque[Any] = deque()
@@ -108,7 +110,7 @@ class FeatureTrackerNode(Node):
                     or self.tracks.get_subscription_count()
                     or self._overlay.get_subscription_count())
 
-    def _change(self, new: FeatureTrackerParameters, old: FeatureTrackerParameters):
+    def _change(self, new: FeatureTrackerParameters, old: FeatureTrackerParameters) -> None:
         """Do what changed parameters say, from the next image on."""
         self._tracker.most = new.max_features
         if new.mask != old.mask:
@@ -116,19 +118,19 @@ class FeatureTrackerNode(Node):
         self._watchdog.limit_s = new.silence_s
         self._inputs.choose(new.image_transport, new.reliability)
 
-    def _say_idle(self):
+    def _say_idle(self) -> None:
         """Tell, once, why nothing happens while nobody listens."""
         self._idle.cancel()
         if not self._inputs.topics:
             self.get_logger().info(f'images are subscribed to once somebody subscribes to '
                                    f'{self.tracks.topic_name} (parameter lazy)')
 
-    def _on_image(self, msg):
+    def _on_image(self, msg: Message) -> None:
         self._watchdog.heard()
         self._waiting.append(msg)
         self._next.trigger()
 
-    def _follow_next(self):
+    def _follow_next(self) -> None:
         """Follow the oldest image that waits, and tell of those that there is no time for."""
         self._inputs.fetch()
         while len(self._waiting) > MOST_WAITING:
@@ -142,7 +144,7 @@ class FeatureTrackerNode(Node):
         if self._waiting:
             self._next.trigger()
 
-    def _leave_out(self, msg):
+    def _leave_out(self, msg: Message) -> None:
         """Tell of an image without its points: it is to have its CameraInfo all the same."""
         size = (msg.width, msg.height) if isinstance(msg, Image) else self._size
         if self._size is None or size != self._size:
@@ -151,7 +153,7 @@ class FeatureTrackerNode(Node):
         if not self.listeners or self.tracks.get_subscription_count():
             self.tracks.publish(tracks_message([], [], self._size, msg.header, self._types))
 
-    def _follow(self, msg):
+    def _follow(self, msg: Message) -> None:
         """Find the points of an image, and publish them."""
         try:
             grey = self._decoder.grey(msg)
@@ -184,14 +186,14 @@ class FeatureTrackerNode(Node):
             self._overlay.publish(image_message(self._drawing.draw(grey, ids, xy), msg.header,
                                                 self._types))
 
-    def _announce(self, header, size: tuple[int, int]):
+    def _announce(self, header: Message, size: tuple[int, int]) -> None:
         """Tell of an image before its points are followed: its CameraInfo need not wait."""
         for listener in self.listeners:
             listener.announce(header, size)
         if self._announced.get_subscription_count():
             self._announced.publish(camera_info_message(None, header, self._types, size))
 
-    def _diagnose(self):
+    def _diagnose(self) -> None:
         """Say what became of the images, and warn once where they are being lost."""
         count = self._inputs.count
         count.look()
@@ -221,7 +223,7 @@ class FeatureTrackerNode(Node):
         self.get_logger().warning(text, throttle_duration_sec=30.0)
         return text
 
-    def _look_where(self, grey):
+    def _look_where(self, grey: np.ndarray) -> None:
         """Follow points within the mask and the circle of the image; InputError if they differ."""
         if self._mask is not None:
             self._mask.check(grey.shape)

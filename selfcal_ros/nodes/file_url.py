@@ -47,7 +47,7 @@ def path_of(url: str, camera_name: str) -> Path:
     home = os.path.expanduser(os.environ.get('ROS_HOME') or '~/.ros')
     known = {'NAME': camera_name, 'ROS_HOME': home}
 
-    def value(match: re.Match) -> str:
+    def value(match: re.Match[str]) -> str:
         if match[1] not in known:
             raise ArgumentError(f'There is no {match[0]} in the URL of a calibration file, only '
                                 f'${{NAME}} and ${{ROS_HOME}}: {url!r:.120}.')

@@ -19,8 +19,11 @@ from collections.abc import Callable
 import time
 from typing import Any
 
+from msg_adapters.message_types import Message
+from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_IN_RELIABLE, STEADY
 from sensor_msgs.msg import CompressedImage, Image
@@ -35,7 +38,7 @@ SILENT_S = 2.0
 COMPRESSED = 'compressed'
 
 
-def compressed_topic(node, base: str = 'image') -> str:
+def compressed_topic(node: Node, base: str = 'image') -> str:
     """
     Return the name of the compressed sibling of `image`, or of another base.
 
@@ -51,7 +54,7 @@ def compressed_topic(node, base: str = 'image') -> str:
     return f'{image}/{COMPRESSED}'
 
 
-def image_profile(node, topic: str, reliability: str) -> QoSProfile:
+def image_profile(node: Node, topic: str, reliability: str) -> QoSProfile:
     """
     Return how to subscribe to an image topic now; publishers come and go.
 
@@ -100,8 +103,9 @@ class ImageInputs:
 
     """
 
-    def __init__(self, node, take: Callable, wanted: Callable[[], bool] = lambda: True, *,
-                 transport: str, reliability: str, base: str = 'image'):
+    def __init__(self, node: Node, take: Callable[[Message], object],
+                 wanted: Callable[[], bool] = lambda: True, *,
+                 transport: str, reliability: str, base: str = 'image') -> None:
         self._node, self._take, self._wanted = node, take, wanted
         self._topics = {'raw': base, 'compressed': compressed_topic(node, base)}
         self._subscriptions: dict[str, Any] = {}
@@ -123,7 +127,7 @@ class ImageInputs:
         self.count.look()
 
     @property
-    def values(self) -> dict:
+    def values(self) -> dict[str, int]:
         """Counts for the diagnostics."""
         return self.count.values
 
@@ -154,9 +158,11 @@ class ImageInputs:
         self._profiles = profiles
         for name in sorted(wanted - set(self._subscriptions), reverse=True):
             self.count.begin()
+            # rclpy hands what it knows of a message to who takes it; its types do not say so
             self._subscriptions[name] = self._node.create_subscription(
                 TRANSPORTS[name], self._topics[name],
-                lambda msg, about, name=name: self._on_image(msg, about, name), profiles[name],
+                lambda msg, about, name=name: self._on_image(  # type: ignore[arg-type,misc]
+                    msg, about, name), profiles[name],
                 qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY,
                                                              QoSPolicyKind.DEPTH]))
 
@@ -165,7 +171,7 @@ class ImageInputs:
         if self._transport in self._subscriptions:
             self._receive(self._transport)
 
-    def _on_image(self, msg, about, transport: str):
+    def _on_image(self, msg: Message, about: dict[str, Any], transport: str) -> None:
         if self._transport == 'auto':
             if transport != self._followed:
                 self._node.get_logger().info(
@@ -175,7 +181,7 @@ class ImageInputs:
         if transport == self._transport:
             self._receive(transport, (msg, about))
 
-    def _receive(self, transport: str, *taken):
+    def _receive(self, transport: str, *taken: tuple[Message, dict[str, Any]]) -> None:
         """Count and hand over what was taken from a queue, and all that it still holds."""
         subscription = self._subscriptions[transport]
         batch = [*taken, *_waiting(subscription)]
@@ -199,7 +205,7 @@ class ImageInputs:
                    self._profiles[name].reliability == ReliabilityPolicy.BEST_EFFORT)
 
 
-def _waiting(subscription) -> list[tuple[Any, dict]]:
+def _waiting(subscription: Subscription) -> list[tuple[Message, dict[str, Any]]]:
     """Take what a queue holds; the executor would take one at a time."""
     found = []
     with subscription.handle:

@@ -15,10 +15,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 import time
 
+from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from selfcal_ros.nodes.quality_of_service import STEADY
 
@@ -49,7 +51,8 @@ class InputWatchdog:
 
     """
 
-    def __init__(self, node, what: str, topics: Callable, limit_s: float):
+    def __init__(self, node: Node, what: str, topics: Callable[[], Iterable[str]],
+                 limit_s: float) -> None:
         self._node, self._what, self._topics = node, what, topics
         self._last = time.monotonic()
         self._warned = ''
@@ -62,7 +65,7 @@ class InputWatchdog:
         return self._limit_s
 
     @limit_s.setter
-    def limit_s(self, limit_s: float):
+    def limit_s(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._timer.timer_period_ns = int(min(1.0, limit_s / 4) * 1e9)
         # or the old period would pass first
@@ -86,7 +89,7 @@ class InputWatchdog:
         """Seconds since something arrived, or since the start."""
         return time.monotonic() - self._last
 
-    def _check(self):
+    def _check(self) -> None:
         if self.silent_s < self.limit_s:
             return
         topics = sorted(self._topics())
@@ -103,7 +106,9 @@ class InputWatchdog:
 
     def _publishers(self, topics: list[str]) -> str:
         """Describe who publishes what we listen to."""
-        wanted = {one.topic_name: type_name(one.msg_type) for one in self._node.subscriptions}
+        # rclpy says that the class of a message is a message
+        wanted = {one.topic_name: type_name(one.msg_type)  # type: ignore[arg-type]
+                  for one in self._node.subscriptions}
         found = {topic: self._node.get_publishers_info_by_topic(topic) for topic in topics}
         found = {topic: infos for topic, infos in found.items() if infos}
         if not found:
@@ -114,7 +119,7 @@ class InputWatchdog:
                          for topic, infos in found.items())
 
     @staticmethod
-    def _described(infos, wanted: str | None, where: str) -> str:
+    def _described(infos: Sequence[TopicEndpointInfo], wanted: str | None, where: str) -> str:
         """Say how many they are, how they send, and whether they send what we read."""
         kinds = sorted({'best effort' if info.qos_profile.reliability
                         == ReliabilityPolicy.BEST_EFFORT else 'reliable' for info in infos})

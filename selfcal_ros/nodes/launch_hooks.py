@@ -20,19 +20,25 @@ What our launch files do before and after their nodes.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from selfcal_ros.nodes.launch_arguments import launch_problem
+
+if TYPE_CHECKING:
+    from launch.action import Action
+    from launch.events.process import ProcessExited
+    from launch.launch_context import LaunchContext
 
 #: Where Fast DDS looks for its settings: up to version 2 (Jazzy), and from version 3 on (Kilted).
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 
 
-def look_at_arguments(names: Iterable[str]):
+def look_at_arguments(names: Iterable[str]) -> Action:
     """Return the action after which nothing starts where one of these arguments is wrong."""
     from launch.actions import OpaqueFunction
     from launch.substitutions import LaunchConfiguration
 
-    def check(context):
+    def check(context: LaunchContext) -> None:
         problem = launch_problem({name: LaunchConfiguration(name).perform(context)
                                   for name in names})
         if problem:
@@ -40,13 +46,13 @@ def look_at_arguments(names: Iterable[str]):
     return OpaqueFunction(function=check)
 
 
-def end_on_refusal(event, _) -> list:
+def end_on_refusal(event: ProcessExited, _: LaunchContext) -> list[Action]:
     """End everything where a node has refused its input or its parameters (status 2)."""
     from launch.actions import Shutdown
     return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
 
 
-def dds_settings() -> list:
+def dds_settings() -> list[Action]:
     """Return the actions that make nodes find peers at once, with room for large images."""
     from launch.actions import SetEnvironmentVariable
     from launch.substitutions import PathJoinSubstitution

@@ -24,6 +24,7 @@ from msg_adapters.stamps import header_message
 
 import numpy as np
 
+from rclpy.node import Node
 from selfcal_ros.calibration.mount import Floor, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -51,7 +52,7 @@ class MountPublisher:
 
     """
 
-    def __init__(self, node, publish_tf: bool):
+    def __init__(self, node: Node, publish_tf: bool) -> None:
         self._node, self._types = node, rclpy_types()
         self._mount = node.create_publisher(TransformStamped, '~/mount', LATCHED)
         self._static: Any = None

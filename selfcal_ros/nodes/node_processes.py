@@ -24,6 +24,7 @@ import signal
 import subprocess
 import threading
 import time
+from typing import Any
 
 import rclpy
 from rclpy.node import Node
@@ -49,9 +50,9 @@ class NodeProcesses:
     """The processes that have been started."""
 
     def __init__(self) -> None:
-        self._started: list[tuple[str, subprocess.Popen]] = []
+        self._started: list[tuple[str, subprocess.Popen[bytes]]] = []
 
-    def start(self, module: str, parameters: dict) -> subprocess.Popen:
+    def start(self, module: str, parameters: dict[str, Any]) -> subprocess.Popen[bytes]:
         """Start `selfcal_ros.nodes.MODULE` with parameters."""
         words = ['--ros-args']
         for name, value in parameters.items():
@@ -95,7 +96,7 @@ def node_processes() -> Iterator[NodeProcesses]:
         yield processes
 
 
-def wait_for(node: Node, condition: Callable, timeout_s: float, what: str) -> None:
+def wait_for(node: Node, condition: Callable[[], object], timeout_s: float, what: str) -> None:
     """
     Spin a node until a condition holds.
 

@@ -16,14 +16,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, TYPE_CHECKING, TypeAlias
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from msg_adapters.camera_info import camera_info_message
 from msg_adapters.markers import delete_markers, object_markers
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.poses import pose_matrix, pose_with_covariance_message, transform_message
 from msg_adapters.stamps import header_message
 import numpy as np
+from numpy.typing import ArrayLike
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
@@ -32,11 +34,17 @@ from selfcal_ros.nodes.tracking_worker import ObjectInImage
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.tracked_frame import TrackerState
+from selfcal_ros.values.wireframe import WireframeModel
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+if TYPE_CHECKING:
+    from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
+
+#: Rotation, translation and maybe a sigma of the distance (m), or AUTO, or None.
+Start: TypeAlias = Any
 #: Red, green, blue of the wireframe's marker.
 MARKER_COLOURS = {TrackerState.TRACKING: (0.0, 0.62, 0.45),
                   TrackerState.DEGRADED: (0.9, 0.62, 0.0),
@@ -75,7 +83,8 @@ class ObjectTopics:
 
     """
 
-    def __init__(self, node, model, name: str, start, command: Callable):
+    def __init__(self, node: ObjectTrackerNode, model: WireframeModel, name: str, start: Start,
+                 command: Callable[..., object]) -> None:
         self._node, self._model, self._start, self._command = node, model, start, command
         self._types, self.name = rclpy_types(), name
         self._segments = wireframe_segments(model)
@@ -96,7 +105,7 @@ class ObjectTopics:
 
     # what comes in
 
-    def _on_initialpose(self, msg: PoseWithCovarianceStamped):
+    def _on_initialpose(self, msg: PoseWithCovarianceStamped) -> None:
         try:
             _check_frame(msg.header.frame_id, self._node.image_frame)
             pose = pose_matrix(msg)
@@ -108,7 +117,7 @@ class ObjectTopics:
         self._claimed = '' if self._node.image_frame else msg.header.frame_id
         self._begin(pose[:3, :3], pose[:3, 3], sigma_m)
 
-    def check_frame(self, images: str):
+    def check_frame(self, images: str) -> None:
         """Drop a start that came before any image, if it is not in the frame of the images."""
         claimed, self._claimed = self._claimed, ''
         try:
@@ -116,7 +125,7 @@ class ObjectTopics:
         except InputError as error:
             self._node.get_logger().warning(f'{self._named("initialpose")} dropped: {error}')
 
-            def drop(session: TrackingSession):
+            def drop(session: TrackingSession) -> None:
                 session.reset(forget_pose=True)
                 self._start = None
 
@@ -126,14 +135,15 @@ class ObjectTopics:
         """Return a topic's name with that of the object."""
         return f'{self.name}/{topic}' if self.name else topic
 
-    def _begin(self, rotation, translation, distance_sigma_m=None):
-        def begin_there(session: TrackingSession):
+    def _begin(self, rotation: ArrayLike, translation: ArrayLike,
+               distance_sigma_m: float | None = None) -> None:
+        def begin_there(session: TrackingSession) -> None:
             session.start(rotation, translation, distance_sigma_m)
             self._start = rotation, translation, distance_sigma_m
 
         self._command(begin_there, anew=True)
 
-    def _on_start(self, _, response):
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._start is None:
             response.success = False
             response.message = ('there is no start pose; publish one on '
@@ -144,7 +154,7 @@ class ObjectTopics:
             'the object is sought' if self._start == AUTO else 'tracking from the start pose')
         return response
 
-    def _on_reset(self, _, response):
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._command(lambda session: session.reset(forget_pose=True), anew=True)
         self._say('waiting for a start pose')
         self._clear_markers()
@@ -155,7 +165,7 @@ class ObjectTopics:
 
     # what goes out
 
-    def publish(self, done: ObjectInImage, header) -> None:
+    def publish(self, done: ObjectInImage, header: Message) -> None:
         """Publish what an image gave; `transforms` of the node takes the transform."""
         self.newest = done
         if done.problem:
@@ -184,7 +194,7 @@ class ObjectTopics:
                 self._segments, pose, header, self._types, MARKER_COLOURS[tracked.state],
                 0.01 * self._model.diameter_m, MARKER_LIFE_S))
 
-    def _say(self, text: str, state: TrackerState | None = None):
+    def _say(self, text: str, state: TrackerState | None = None) -> None:
         """Tell the state where it has changed."""
         if state is not None and state == self._state:
             return
@@ -197,13 +207,13 @@ class ObjectTopics:
         self._state = state
         self._states.publish(String(data=text))
 
-    def _clear_markers(self):
+    def _clear_markers(self) -> None:
         header = header_message(self._node.get_clock().now().nanoseconds, self._node.image_frame,
                                 self._types)
         self._markers.publish(delete_markers(header, self._types))
 
 
-def begin(session: TrackingSession, start) -> None:
+def begin(session: TrackingSession, start: Start) -> None:
     """Begin from a start, or seek the object; wait where there is none."""
     if start == AUTO:
         session.seek()
@@ -211,7 +221,7 @@ def begin(session: TrackingSession, start) -> None:
         session.start(*start)
 
 
-def distance_sigma(translation: np.ndarray, covariance) -> float | None:
+def distance_sigma(translation: np.ndarray, covariance: ArrayLike) -> float | None:
     """Standard deviation of a pose's distance (m) from its covariance (36,); None without any."""
     place = np.reshape(covariance, (6, 6))[:3, :3]
     away = translation / max(float(np.linalg.norm(translation)), 1e-12)

@@ -15,20 +15,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
 from msg_adapters.image import depth_metres
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
+import numpy as np
 from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.camera_info_input import CameraInfoInput
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
-from selfcal_ros.nodes.object_topics import begin, ObjectTopics
+from selfcal_ros.nodes.object_topics import begin, ObjectTopics, Start
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
@@ -55,7 +59,7 @@ from sensor_msgs.msg import Image
 class ObjectTrackerNode(Node):
     """Follows objects through `image` or `image/compressed` and publishes each one's `pose`."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('rorapid_tracker')
         p = self.parameters = declare(self, RorapidTrackerParameters)
         if not p.model:
@@ -82,11 +86,13 @@ class ObjectTrackerNode(Node):
         self._overlays = [self.create_publisher(Image, topic, IMAGES_OUT) for topic in (
             [f'~/{name}/overlay' for name in of_rig] or ['~/overlay'])]
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self.transforms = (self.create_publisher(self._transform_type(), '/tf', 100)
-                           if p.publish_tf else None)
+        self.transforms: Any = (self.create_publisher(self._transform_type(), '/tf', 100)
+                                if p.publish_tf else None)
         self._ready = self.create_guard_condition(self._publish)
         names = object_names(paths) if len(paths) > 1 else ['']
-        self._worker = (RigWorker(sessions, self._ready.trigger, names, of_rig) if of_rig else
+        # with a rig all sessions are of one
+        self._worker = (RigWorker(sessions,  # type: ignore[arg-type]
+                                  self._ready.trigger, names, of_rig) if of_rig else
                         TrackingWorker(sessions, self._ready.trigger, names))
         self._objects = [
             ObjectTopics(self, model, name, start, partial(self._worker.command, which=k))
@@ -113,24 +119,24 @@ class ObjectTrackerNode(Node):
         self.create_timer(1.0, self._diagnose, clock=STEADY)
         follow(self, self._check_change, self._change)
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """End the thread, too."""
         if hasattr(self, '_worker'):
             self._worker.stop()
-        super().destroy_node()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
     @staticmethod
     def _transform_type() -> type:
         return transform_type('publish_tf')
 
-    def _check_change(self, new: RorapidTrackerParameters):
+    def _check_change(self, new: RorapidTrackerParameters) -> None:
         """Refuse parameters that contradict each other, or ask for what is not installed."""
         for model in self._models:
             check_size(model, *tracker_options(new).control_points)
         if new.publish_tf:
             self._transform_type()
 
-    def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters):
+    def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters) -> None:
         """Do what changed parameters say; the tracker goes on with all that it has learned."""
         self._watchdog.limit_s = new.silence_s
         options = tracker_options(new)
@@ -142,26 +148,28 @@ class ObjectTrackerNode(Node):
 
     # what comes in
 
-    def _on_image(self, msg):
+    def _on_image(self, msg: Message) -> None:
         self._hear(msg.header.frame_id)
         if self._pairing is None:
             self._submit([(msg, None)])
             return
         self._submit(self._pairing.image(stamp_ns(msg.header.stamp), msg))
 
-    def _hear(self, frame: str):
+    def _hear(self, frame: str) -> None:
         self._watchdog.heard()
         self.image_frame = frame
         for one in self._objects:
             one.check_frame(frame)
 
-    def _on_depth(self, msg: Image):
+    def _on_depth(self, msg: Image) -> None:
         try:
-            self._submit(self._pairing.depth(stamp_ns(msg.header.stamp), depth_metres(msg)))
+            # subscribed to where there is a pairing only
+            self._submit(self._pairing.depth(  # type: ignore[union-attr]
+                stamp_ns(msg.header.stamp), depth_metres(msg)))
         except InputError as error:
             self.get_logger().warning(f'depth image dropped: {error}', throttle_duration_sec=5.0)
 
-    def _on_instant(self, header, images):
+    def _on_instant(self, header: Message, images: Sequence[Message]) -> None:
         self._hear(header.frame_id)
         self._worker.submit(InstantMessages(header, tuple(images), self._are_drawn()))
 
@@ -169,17 +177,17 @@ class ObjectTrackerNode(Node):
         """Of which cameras somebody looks at the overlay."""
         return [one.get_subscription_count() > 0 for one in self._overlays]
 
-    def _command(self, action):
+    def _command(self, action: Callable[[Any], object]) -> None:
         self._worker.command(action)
 
-    def _submit(self, pairs):
+    def _submit(self, pairs: Iterable[tuple[Message, np.ndarray | None]]) -> None:
         """Hand over images, each with its depth or None."""
         for msg, depth in pairs:
             self._worker.submit(InstantMessages(msg.header, (msg,), self._are_drawn(), depth))
 
     # what goes out
 
-    def _publish(self):
+    def _publish(self) -> None:
         """Publish what the thread has finished."""
         while (done := self._worker.poll()) is not None:
             if isinstance(done, str):
@@ -192,7 +200,7 @@ class ObjectTrackerNode(Node):
                 if one is not None:
                     topics.publish(one, done.header)
 
-    def _diagnose(self):
+    def _diagnose(self) -> None:
         self._inputs.look()
         news = self._inputs.complaint(news=True)
         if news:
@@ -214,11 +222,13 @@ class ObjectTrackerNode(Node):
         self._diagnostics.publish(diagnostics_message(statuses, header, self.types))
 
 
-def starts_of(text: str, count: int, camera) -> list:
+def starts_of(text: str, count: int, camera: Camera | None) -> list[Start]:
     """Read the parameter start_pose, one an object: a pose, AUTO, or None where it waits."""
     if not text.strip():
         return [None] * count
-    return [word if word == AUTO else read_start(word, None, camera) if word else None
+    # without clicks no camera is needed
+    return [word if word == AUTO else
+            read_start(word, None, camera) if word else None  # type: ignore[arg-type]
             for word in parted_starts(text, count)]
 
 

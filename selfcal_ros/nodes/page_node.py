@@ -24,7 +24,7 @@ from concurrent.futures import Future
 from functools import partial
 from queue import Empty, SimpleQueue
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
@@ -32,8 +32,11 @@ from msg_adapters.diagnostics import status_level
 from msg_adapters.image import image_to_bgr
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.task import Future as RclpyFuture
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CalibrationPageParameters
@@ -41,6 +44,9 @@ from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.report.live_state import LiveState
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
+
+if TYPE_CHECKING:
+    from selfcal_ros.nodes.page_server import PageServer
 
 #: What the diagnostics of calibrators and trackers are called, after the name of the node.
 CALIBRATION, IMAGES = ': calibration', ': images'
@@ -55,15 +61,16 @@ JPEG_QUALITY = 80
 class CalibrationPage(Node):
     """Serves the page of one calibrator: the one named, or the first that is heard."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('calibration_page')
         self.parameters = declare(self, CalibrationPageParameters)
         self._state = LiveState()
         self._calibrator = ''
-        self._tracks = self._overlay = None
+        self._tracks: Subscription | None = None
+        self._overlay: Subscription | None = None
         self._buttons: dict[str, Any] = {}
         self._last_tracks_s = self._last_image_s = self._told_s = 0.0
-        self._pressed: SimpleQueue[tuple[str, Future]] = SimpleQueue()
+        self._pressed: SimpleQueue[tuple[str, Future[tuple[bool, str]]]] = SimpleQueue()
         self._called = self.create_guard_condition(self._call)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
         self.create_timer(LOOK_S, self._look, clock=STEADY)
@@ -73,12 +80,12 @@ class CalibrationPage(Node):
         if self.parameters.calibrator:
             self._watch(self.parameters.calibrator.strip('/'))
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """End the server, too."""
         self.server.close()
-        super().destroy_node()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
-    def _on_diagnostics(self, msg: DiagnosticArray):
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in msg.status:
             if status.name.endswith(CALIBRATION):
@@ -91,7 +98,7 @@ class CalibrationPage(Node):
                     and _namespace(status.name) == _namespace(self._calibrator):
                 self._state.take_images(status_level(status), status.message, now)
 
-    def _consider(self, calibrator: str):
+    def _consider(self, calibrator: str) -> None:
         """Watch the first calibrator that speaks, or rather the first of our namespace."""
         own = self.get_namespace().strip('/')
         if self.parameters.calibrator or self._calibrator \
@@ -100,7 +107,7 @@ class CalibrationPage(Node):
         if not self._calibrator or _namespace(calibrator) == own:
             self._watch(calibrator)
 
-    def _watch(self, calibrator: str):
+    def _watch(self, calibrator: str) -> None:
         """Take the tracks and the services of a calibrator."""
         self._calibrator = calibrator
         self.get_logger().info(f'watching /{calibrator}')
@@ -119,7 +126,7 @@ class CalibrationPage(Node):
         space = _namespace(self._calibrator)
         return name if space == self.get_namespace().strip('/') else f'/{space}/{name}'
 
-    def _on_tracks(self, raw: bytes):
+    def _on_tracks(self, raw: bytes) -> None:
         now = time.monotonic()
         if now - self._last_tracks_s < 1 / TRACKS_HZ:
             return
@@ -131,7 +138,7 @@ class CalibrationPage(Node):
             return
         self._state.take_tracks(frame.track, frame.xy, frame.image_size, now)
 
-    def _look(self):
+    def _look(self) -> None:
         """Take images while somebody looks, and tell what is new."""
         is_wanted = self._calibrator and self.server.is_looked_at
         if is_wanted and self._overlay is None:
@@ -145,7 +152,7 @@ class CalibrationPage(Node):
             self._told_s = now
             self.server.tell(self._state.as_dict(now))
 
-    def _on_overlay(self, raw: bytes):
+    def _on_overlay(self, raw: bytes) -> None:
         now = time.monotonic()
         if now - self._last_image_s < 1 / self.parameters.image_rate \
                 or not self.server.is_waited_for:
@@ -159,14 +166,14 @@ class CalibrationPage(Node):
             return
         self.server.show(jpeg)
 
-    def _press(self, action: str) -> Future:
+    def _press(self, action: str) -> Future[tuple[bool, str]]:
         """Take a button, in the thread of the server; the executor does the rest."""
-        answer: Future = Future()
+        answer: Future[tuple[bool, str]] = Future()
         self._pressed.put((action, answer))
         self._called.trigger()
         return answer
 
-    def _call(self):
+    def _call(self) -> None:
         """Call the services whose buttons were pressed."""
         while True:
             try:
@@ -182,7 +189,7 @@ class CalibrationPage(Node):
                     Trigger, f'/{self._calibrator}/{action}')
             self._ask(client, answer, time.monotonic() + 3.0)
 
-    def _ask(self, client, answer: Future, until_s: float):
+    def _ask(self, client: Client, answer: Future[tuple[bool, str]], until_s: float) -> None:
         """Call a service once it is there."""
         if client.service_is_ready():
             client.call_async(Trigger.Request()).add_done_callback(partial(_answered, answer))
@@ -190,10 +197,12 @@ class CalibrationPage(Node):
             _settle(answer, False, f'nobody offers {client.srv_name}')
         else:
             timer = self.create_timer(0.05, lambda: (
-                self.destroy_timer(timer), self._ask(client, answer, until_s)), clock=STEADY)
+                self.destroy_timer(timer),
+                self._ask(client, answer, until_s)  # type: ignore[func-returns-value]
+            ), clock=STEADY)
 
 
-def _answered(answer: Future, call) -> None:
+def _answered(answer: Future[tuple[bool, str]], call: RclpyFuture) -> None:
     """Hand over what a service has answered."""
     if call.exception() is not None:
         _settle(answer, False, str(call.exception()))
@@ -201,7 +210,7 @@ def _answered(answer: Future, call) -> None:
         _settle(answer, bool(call.result().success), str(call.result().message))
 
 
-def _settle(answer: Future, success: bool, message: str) -> None:
+def _settle(answer: Future[tuple[bool, str]], success: bool, message: str) -> None:
     # the browser may have gone away
     if answer.set_running_or_notify_cancel():
         answer.set_result((success, message))
@@ -229,7 +238,7 @@ def _namespace(name: str) -> str:
     return name.partition(':')[0].rpartition('/')[0]
 
 
-def _page_server():
+def _page_server() -> type[PageServer]:
     """Return the class of the server, whose library need not be there."""
     try:
         from selfcal_ros.nodes.page_server import PageServer

@@ -91,7 +91,8 @@ class PageServer:
 
     """
 
-    def __init__(self, host: str, port: int, press: Callable[[str], Future]):
+    def __init__(self, host: str, port: int,
+                 press: Callable[[str], Future[tuple[bool, str]]]) -> None:
         self.press, self.token = press, secrets.token_urlsafe(16)
         self.is_local = _is_loopback(host)
         self.viewers: set[Viewer] = set()
@@ -112,7 +113,7 @@ class PageServer:
         shown = f'[{shown}]' if ':' in shown else shown
         return f'http://{shown}:{port}/' + ('' if self.is_local else f'?token={self.token}')
 
-    def _serve(self, sockets) -> None:
+    def _serve(self, sockets: list[socket.socket]) -> None:
         asyncio.set_event_loop(self._loop)
         about: dict[str, Any] = {'server': self}
         application = Application(
@@ -156,7 +157,7 @@ class PageServer:
         """Take note that an image is wanted."""
         self._asked_s = time.monotonic()
 
-    def tell(self, state: dict) -> None:
+    def tell(self, state: dict[str, Any]) -> None:
         """Send what has changed to all browsers."""
         self.newest = json.dumps(state, allow_nan=False)
         self._loop.call_soon_threadsafe(self._send, self.newest)
@@ -220,7 +221,7 @@ class Guarded(RequestHandler):
         if not self.server.knows(token):
             raise HTTPError(403, reason='The token is not of this run: open the printed address')
 
-    def write_error(self, status_code: int, **_) -> None:
+    def write_error(self, status_code: int, **_: Any) -> None:
         """Say in a line what was wrong."""
         self.finish(f'{self._reason}.\n')
 
@@ -299,7 +300,7 @@ class Viewer(Guarded, WebSocketHandler):
         """Take what `prepare` has let pass."""
         return True
 
-    def open(self, *_, **__) -> None:  # noqa: A003
+    def open(self, *_: str, **__: str) -> None:  # noqa: A003
         """Show what is known so far."""
         self.server.viewers.add(self)
         self.give(self.server.newest)
@@ -331,7 +332,7 @@ class Viewer(Guarded, WebSocketHandler):
             self._is_busy = True
         sent.add_done_callback(lambda done: self._sent(done, is_image))
 
-    def _sent(self, done, is_image: bool) -> None:
+    def _sent(self, done: asyncio.Future[None], is_image: bool) -> None:
         # who went away meanwhile is nobody's fault
         done.cancelled() or done.exception()
         if not is_image:

@@ -15,25 +15,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import Field, fields, is_dataclass, replace
 from difflib import get_close_matches
 import math
 import traceback
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from rcl_interfaces.msg import (FloatingPointRange, IntegerRange, ParameterDescriptor,
                                 SetParametersResult)
 from rclpy.exceptions import InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from selfcal_ros.errors import ArgumentError, SelfcalError
 from selfcal_ros.nodes import parameters
 from selfcal_ros.nodes.parameter_words import in_parameters
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Table = TypeVar('Table', bound='DataclassInstance')
+
 #: Parameters that every node of ROS has, or that come with its topics.
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
-def declare(node, table):
+def declare(node: Node, table: type[Table]) -> Table:
     """
     Declare the parameters of a dataclass on a node and read their values; see `follow`.
 
@@ -54,7 +62,7 @@ def declare(node, table):
         If a value has the wrong type or is out of range; the sentence names the parameter.
 
     """
-    values = {}
+    values: dict[str, Any] = {}
     for entry in fields(table):
         try:
             given = node.declare_parameter(entry.name, entry.default, _descriptor(entry)).value
@@ -66,7 +74,7 @@ def declare(node, table):
     return table(**values)
 
 
-def _tell_of_unknown(node, names: list[str]) -> None:
+def _tell_of_unknown(node: Node, names: list[str]) -> None:
     """
     Warn of what was given under a name that none of our nodes knows.
 
@@ -84,7 +92,8 @@ def _tell_of_unknown(node, names: list[str]) -> None:
                                   + (f'; did you mean {near[0]}?' if near else ''))
 
 
-def follow(node, check: Callable, apply: Callable) -> None:
+def follow(node: Any, check: Callable[[Any], object],
+           apply: Callable[[Any, Any], object]) -> None:
     """
     Let the parameters of a node that may change do so, each change whole or not at all.
 
@@ -104,12 +113,12 @@ def follow(node, check: Callable, apply: Callable) -> None:
     """
     entries = {entry.name: entry for entry in fields(node.parameters)}
 
-    def changed(given):
+    def changed(given: Iterable[Parameter]) -> Any:
         # others' parameters pass by: use_sim_time, qos_overrides
         return replace(node.parameters, **{one.name: _checked(entries[one.name], one.value)
                                            for one in given if one.name in entries})
 
-    def judge(given):
+    def judge(given: list[Parameter]) -> SetParametersResult:
         try:
             new = changed(given)
             if new != node.parameters:
@@ -120,7 +129,7 @@ def follow(node, check: Callable, apply: Callable) -> None:
             return SetParametersResult(successful=False, reason=_fault(node, error))
         return SetParametersResult(successful=True)
 
-    def take(given):
+    def take(given: list[Parameter]) -> None:
         old, node.parameters = node.parameters, changed(given)
         if node.parameters != old:
             try:
@@ -132,14 +141,14 @@ def follow(node, check: Callable, apply: Callable) -> None:
     node.add_post_set_parameters_callback(take)
 
 
-def _fault(node, error: Exception) -> str:
+def _fault(node: Node, error: Exception) -> str:
     """Log where the program is at fault, and say so."""
     node.get_logger().error(''.join(traceback.format_exception(error)))
     return (f'The change failed ({type(error).__name__}: {error}); please report the lines that '
             'are logged.')
 
 
-def _descriptor(entry) -> ParameterDescriptor:
+def _descriptor(entry: Field[Any]) -> ParameterDescriptor:
     """Describe a field; the type is ours to check, so that a YAML 20 may stand for 20.0."""
     about = entry.metadata
     descriptor = ParameterDescriptor(description=about['description'],
@@ -160,7 +169,7 @@ def _descriptor(entry) -> ParameterDescriptor:
     return descriptor
 
 
-def _checked(entry, value):
+def _checked(entry: Field[Any], value: Any) -> Any:
     """Return the value in the type of its default."""
     wanted, about = type(entry.default), entry.metadata
     if wanted is float and isinstance(value, int) and not isinstance(value, bool):
@@ -179,7 +188,7 @@ def _checked(entry, value):
     return value
 
 
-def _bounds(entry) -> str:
+def _bounds(entry: Field[Any]) -> str:
     """Say between what a number must lie."""
     low, high = entry.metadata['low'], entry.metadata['high']
     if None in (low, high):

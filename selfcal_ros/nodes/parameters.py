@@ -19,12 +19,15 @@ What makes sense to change while a node runs is marked `live`; everything else i
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from selfcal_ros.geometry.camera_facts import FOCAL_CHOICES, SHUTTERS
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
+Value = TypeVar('Value', bool, int, float, str)
 
 #: How a calibration file is named.
 _FILE = ('calibration file: a path, file:///PATH or package://PACKAGE/PATH, with ${NAME} for the '
@@ -32,7 +35,8 @@ _FILE = ('calibration file: a path, file:///PATH or package://PACKAGE/PATH, with
 _WHERE = '${ROS_HOME}/camera_info/${NAME}.yaml, where camera drivers look'
 
 
-def parameter(default, description: str, low=None, high=None, one_of=(), live=False):
+def parameter(default: Value, description: str, low: float | None = None,
+              high: float | None = None, one_of: Iterable[str] = (), live: bool = False) -> Value:
     """
     Describe one parameter; use it as the default of a dataclass field.
 
@@ -53,19 +57,19 @@ def parameter(default, description: str, low=None, high=None, one_of=(), live=Fa
                                             'one_of': tuple(one_of), 'live': live})
 
 
-def _image_transport():
+def _image_transport() -> str:
     return parameter('auto', 'which of the topics image and image/compressed to follow; auto '
                      'takes the one that speaks first, until it falls silent',
                      one_of=('auto', 'raw', 'compressed'), live=True)
 
 
-def _reliability():
+def _reliability() -> str:
     return parameter('auto', 'of the subscription to the images; auto: reliable where all '
                      'publishers are, best effort otherwise, which fits every publisher',
                      one_of=('auto', 'best_effort', 'reliable'), live=True)
 
 
-def _silence_s(what_has: str):
+def _silence_s(what_has: str) -> float:
     return parameter(5.0, f'warn when {what_has} come for so long', 0.5, 3600.0, live=True)
 
 
@@ -85,7 +89,7 @@ class FeatureTrackerParameters:
     silence_s: float = _silence_s('no image has')
 
 
-def _motion(default: str):
+def _motion(default: str) -> str:
     return parameter(default, 'how the camera moves: in a plane, as robots on wheels do; freely, '
                      'as arms do; auto finds out', one_of=('planar', 'general', 'auto'),
                      live=True)

@@ -22,10 +22,12 @@ in what lies between `<!-- parameters:NODE -->` and `<!-- /parameters:NODE -->`,
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields
+from collections.abc import Iterable, Sequence
+from dataclasses import Field, fields
 from pathlib import Path
 import re
 import sys
+from typing import Any
 
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters,
@@ -77,14 +79,14 @@ def updated(text: str) -> str:
     return _BLOCK.sub(lambda found: found[1] + tables[found[2]](found[3]), text)
 
 
-def literal(value) -> str:
+def literal(value: object) -> str:
     """Write a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()
     return repr(value) if value == '' else str(value)
 
 
-def _allowed(entry) -> str:
+def _allowed(entry: Field[Any]) -> str:
     low, high, one_of = (entry.metadata[key] for key in ('low', 'high', 'one_of'))
     if one_of:
         return ', '.join(f'`{value}`' for value in one_of)
@@ -93,7 +95,7 @@ def _allowed(entry) -> str:
     return 'text' if low is None and high is None else f'{low:g} to {high:g}'
 
 
-def _table(header, rows) -> str:
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [header, ['---'] * len(header), *rows]
     text = ''.join(f'| {" | ".join(line)} |\n' for line in lines)
     # a name in angle brackets is no tag

@@ -16,18 +16,24 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 from selfcal_ros.nodes.entry_point import run_node
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from selfcal_ros.nodes.estimation_process import EstimationProcess
+    from selfcal_ros.nodes.estimation_worker import EstimationWorker
 
-def make_node(**options):
+
+def make_node(**options: type[EstimationWorker] | type[EstimationProcess]) -> Node:
     """Return the node; its imports take a second, hence not before they are wanted."""
     from selfcal_ros.nodes.calibrator_node import CalibratorNode
     from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
     return CalibratorNode('planar_calibrator', PlanarCalibratorParameters, **options)
 
 
-def main(args=None) -> int:
+def main(args: list[str] | None = None) -> int:
     """Run the node; returns the exit status."""
     return run_node(make_node, args)
 

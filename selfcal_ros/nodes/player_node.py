@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import time
 
 from msg_adapters.message_types import rclpy_types
@@ -39,7 +40,7 @@ CLOCK_PERIOD_S = 0.02
 class BagPlayer(Node):
     """Publishes `image` or `image/compressed`, and /clock; done at the end of the bag."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('bag_player')
         self.parameters = declare(self, BagPlayerParameters)
         if not self.parameters.bag:
@@ -56,9 +57,9 @@ class BagPlayer(Node):
                       if self.parameters.publish_clock else None)
         self._types = rclpy_types()
         self._waiting_since = time.monotonic()
-        self._messages = None
+        self._messages: Iterator[tuple[int, bytes]] | None = None
         self._began = 0.0
-        self._next = None
+        self._next: tuple[int, bytes] | None = None
         self._published = 0
         self._timer = self.create_timer(0.05, self._tick, clock=STEADY)
         self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
@@ -68,12 +69,12 @@ class BagPlayer(Node):
                                    f'({self.parameters.wait_for_subscribers_s:g} s)')
         follow(self, self._check_change, self._change)
 
-    def _check_change(self, new: BagPlayerParameters):
+    def _check_change(self, new: BagPlayerParameters) -> None:
         """Refuse what would have no effect any more."""
         if self.finished.done():
             raise InputError('The bag has been played to its end; start another bag_player.')
 
-    def _change(self, new: BagPlayerParameters, old: BagPlayerParameters):
+    def _change(self, new: BagPlayerParameters, old: BagPlayerParameters) -> None:
         """Go on at another speed, from the time of the bag that it is now."""
         if self._messages is not None and new.rate != old.rate:
             now = time.monotonic()
@@ -83,7 +84,7 @@ class BagPlayer(Node):
             self._timer.timer_period_ns = 100_000
             self._timer.reset()
 
-    def _tick(self):
+    def _tick(self) -> None:
         if self._messages is None:
             if not self._may_start():
                 return
@@ -94,7 +95,8 @@ class BagPlayer(Node):
             self._tell_time(stamp_ns)
             self._publisher.publish(content)
             self._published += 1
-            self._next = next(self._messages, None)
+            # `_rewind` has set it
+            self._next = next(self._messages, None)  # type: ignore[arg-type]
         if self._next is None:
             self._at_end()
             return
@@ -114,7 +116,7 @@ class BagPlayer(Node):
                                   f'{limit:g} s; playing all the same')
         return True
 
-    def _rewind(self):
+    def _rewind(self) -> None:
         self._messages = self._recording.messages(self.parameters.start_offset)
         self._next = next(self._messages, None)
         if self._next is None:
@@ -127,11 +129,11 @@ class BagPlayer(Node):
         """Return the monotonic time at which a message is due."""
         return self._began + (stamp_ns - self._begin_ns) * 1e-9 / self.parameters.rate
 
-    def _tell_time(self, stamp_ns: int):
+    def _tell_time(self, stamp_ns: int) -> None:
         if self._time is not None:
             self._time.publish(ClockMessage(clock=time_message(stamp_ns, self._types)))
 
-    def _at_end(self):
+    def _at_end(self) -> None:
         if self.parameters.loop:
             self._rewind()
             return

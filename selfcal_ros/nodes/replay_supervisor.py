@@ -27,8 +27,10 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from msg_adapters.stamps import stamp_ns
+from rclpy.client import Client
 from rclpy.node import Node
 from selfcal_ros.errors import SelfcalError
 from selfcal_ros.nodes.calibration_status import NOTHING_NEW, UNDER_WAY
@@ -45,32 +47,32 @@ from std_srvs.srv import Trigger
 class ReplaySupervisor(Node):
     """Listens to what the calibrator says, and tells when it has seen everything."""
 
-    def __init__(self, calibrator: str = 'planar_calibrator'):
+    def __init__(self, calibrator: str = 'planar_calibrator') -> None:
         super().__init__('replay_supervisor')
         #: Stamp and K[0] of each.
         self.camera_infos: list[tuple[int, float]] = []
-        self.results: list[dict] = []
+        self.results: list[dict[str, Any]] = []
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, PER_IMAGE)
         self.create_subscription(String, f'{calibrator}/result', self._on_result, LATCHED)
         self._calibrate = self.create_client(Trigger, f'{calibrator}/calibrate')
         self._save = self.create_client(Trigger, f'{calibrator}/save')
         self._heard = time.monotonic()
 
-    def _on_camera_info(self, msg):
+    def _on_camera_info(self, msg: CameraInfo) -> None:
         self.camera_infos.append((stamp_ns(msg.header.stamp), float(msg.k[0])))
         self._heard = time.monotonic()
 
-    def _on_result(self, msg):
+    def _on_result(self, msg: String) -> None:
         self.results.append(json.loads(msg.data))
 
-    def call(self, client, timeout_s: float = 10.0):
+    def call(self, client: Client, timeout_s: float = 10.0) -> Trigger.Response:
         """Call a Trigger service and return its response."""
         wait_for(self, client.service_is_ready, timeout_s, f'service {client.srv_name}')
         future = client.call_async(Trigger.Request())
         wait_for(self, future.done, timeout_s, f'answer of {client.srv_name}')
         return future.result()
 
-    def final_result(self, last_stamp_ns: int, timeout_s: float) -> dict:
+    def final_result(self, last_stamp_ns: int, timeout_s: float) -> dict[str, Any]:
         """Wait until the last image is through, then ask for an estimate from everything."""
         self._heard = time.monotonic()
         # the last image may have been dropped on a busy machine: then silence has to do
@@ -93,13 +95,13 @@ class ReplaySupervisor(Node):
             # it may be of fewer images than there are: so ask again
             wait_for(self, lambda: len(self.results) > before, timeout_s, 'result')
 
-    def _calibrations(self) -> list[dict]:
+    def _calibrations(self) -> list[dict[str, Any]]:
         return [result for result in self.results if result['status'] == 'calibrated']
 
 
-def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
-           parameters: dict | None = None, calibrator: str = 'planar_calibrator',
-           ) -> tuple[dict, list]:
+def replay(bag: str | Path, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
+           parameters: dict[str, Any] | None = None, calibrator: str = 'planar_calibrator',
+           ) -> tuple[dict[str, Any], list[tuple[int, float]]]:
     """
     Replay a bag through feature_tracker and a calibrator, three processes over DDS.
 

@@ -15,11 +15,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 import re
+from typing import TYPE_CHECKING
 
 from msg_adapters.body_poses import transforms
+from msg_adapters.message_types import Message
 from msg_adapters.stamps import header_message, stamp_ns
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
@@ -33,6 +35,9 @@ from selfcal_ros.pipeline.simultaneous import StampGroups
 from selfcal_ros.report.camera_files.rig_reading import read_rig, rough_spread
 from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
 from selfcal_ros.values.transform_tree import TransformTree
+
+if TYPE_CHECKING:
+    from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
 
 
 def camera_names(text: str) -> list[str]:
@@ -123,7 +128,10 @@ class RigInputs:
 
     """
 
-    def __init__(self, node, submit: Callable, calibrate: Callable, place: Callable):
+    def __init__(self, node: ObjectTrackerNode,
+                 submit: Callable[[Message, Sequence[Message]], object],
+                 calibrate: Callable[[int, Camera], object],
+                 place: Callable[[Sequence[PlacedCamera]], object]) -> None:
         p = node.parameters
         self._node, self._submit, self._place = node, submit, place
         self.names = camera_names(p.cameras)
@@ -136,7 +144,7 @@ class RigInputs:
         self._by_tf, self._sigma = not p.rig_file, rig_sigma(p.rig_sigma)
         self._tree, self._problem = TransformTree(), ''
 
-        def take(which: int, camera: Camera):
+        def take(which: int, camera: Camera) -> None:
             self._cameras[which] = camera
             if self._by_tf:
                 self._look()
@@ -171,7 +179,7 @@ class RigInputs:
             one.look()
 
     @property
-    def values(self) -> dict:
+    def values(self) -> dict[str, int]:
         """Counts for the diagnostics."""
         found = {f'{name}: {key}': value for name, one in zip(self.names, self._images)
                  for key, value in one.values.items()}
@@ -193,7 +201,7 @@ class RigInputs:
         """Optical frame of the first camera; empty until it is heard."""
         return self._frames[0] or self._infos[0].frame_id
 
-    def _on_image(self, which: int, msg):
+    def _on_image(self, which: int, msg: Message) -> None:
         if not self._frames[which]:
             self._frames[which] = msg.header.frame_id
             if self._by_tf:
@@ -203,7 +211,7 @@ class RigInputs:
             if self.frame:
                 self._submit(header_message(first, self.frame, self._node.types), images)
 
-    def _on_static(self, msg):
+    def _on_static(self, msg: Message) -> None:
         try:
             for stamp, matrix, parent, child in transforms(msg):
                 self._tree.add(stamp, matrix, parent, child, is_static=True)
@@ -212,7 +220,7 @@ class RigInputs:
             return
         self._look()
 
-    def _look(self):
+    def _look(self) -> None:
         """Put the cameras into place once TF tells where each is."""
         frames = [frame or info.frame_id for frame, info in zip(self._frames, self._infos)]
         placed = []

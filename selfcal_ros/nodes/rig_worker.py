@@ -44,8 +44,8 @@ class RigWorker(TrackingWorker):
 
     """
 
-    def __init__(self, sessions: Sequence[RigSession], ready: Callable, names: Sequence[str],
-                 cameras: Sequence[str]):
+    def __init__(self, sessions: Sequence[RigSession], ready: Callable[[], object],
+                 names: Sequence[str], cameras: Sequence[str]) -> None:
         self._cameras = list(cameras)
         self._decoders = [ImageDecoder() for _ in cameras]
         super().__init__(sessions, ready, names)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rclpy.node import Node
 from selfcal_ros.nodes.quality_of_service import STEADY
 
 
@@ -34,13 +35,13 @@ class RivalPublishers:
 
     """
 
-    def __init__(self, node, topics: Callable[[], list[str]], consequence: str):
+    def __init__(self, node: Node, topics: Callable[[], list[str]], consequence: str) -> None:
         self._node, self._topics, self._consequence = node, topics, consequence
         self._said = ''
         self.complaint = ''
         node.create_timer(1.0, self._look, clock=STEADY)
 
-    def _look(self):
+    def _look(self) -> None:
         self.complaint = '; '.join(filter(None, map(self._described, sorted(self._topics()))))
         # silence in between: who has gone and comes back is told of again
         if self.complaint and self.complaint != self._said:

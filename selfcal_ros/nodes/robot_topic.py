@@ -18,6 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from msg_adapters.body_poses import POSE_TYPES
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameters import CalibratorParameters
@@ -84,7 +85,7 @@ class RobotTopic:
 
     """
 
-    def __init__(self, node, session: CalibrationSession, robot: LiveRobot | None):
+    def __init__(self, node: Node, session: CalibrationSession, robot: LiveRobot | None) -> None:
         self._node, self._session, self.robot = node, session, robot
         self._topic = '' if robot is None else robot.source.topic
         self._kind = ''

@@ -24,6 +24,7 @@ from msg_adapters.poses import camera_poses, path_message
 from msg_adapters.stamps import header_message
 from nav_msgs.msg import Path
 import numpy as np
+from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
@@ -78,7 +79,7 @@ class ScenePublisher:
 
     """
 
-    def __init__(self, node, world_frame: str):
+    def __init__(self, node: Node, world_frame: str) -> None:
         self._node, self._frame, self._types = node, world_frame, rclpy_types()
         self._structure = node.create_publisher(PointCloud2, 'structure', LATCHED)
         self._path = node.create_publisher(Path, 'camera_path', LATCHED)

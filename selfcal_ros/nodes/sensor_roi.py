@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from msg_adapters.camera_info import camera_info_message, ImageWindow, window_of
+from msg_adapters.message_types import Message, MessageTypes
+from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
@@ -44,13 +46,13 @@ class SensorRoi:
 
     """
 
-    def __init__(self, node, on_change: Callable[[str], None]):
+    def __init__(self, node: Node, on_change: Callable[[str], None]) -> None:
         self._node, self._on_change = node, on_change
         self._window, self._full = ImageWindow(), (0, 0)
         self._heard = False
         node.create_subscription(CameraInfo, DRIVER_TOPIC, self._on_info, DRIVER_INFO_IN)
 
-    def _on_info(self, msg: CameraInfo):
+    def _on_info(self, msg: CameraInfo) -> None:
         try:
             window = window_of(msg)
         except InputError as error:
@@ -87,7 +89,8 @@ class SensorRoi:
         """Return the camera of the images, given that of the full sensor."""
         return self._window.image_camera(full) if self._fits(image_size) else full
 
-    def message(self, camera: Camera | None, header, image_size: tuple[int, int], types):
+    def message(self, camera: Camera | None, header: Message, image_size: tuple[int, int],
+                types: MessageTypes) -> Message:
         """
         Build the CameraInfo of an image: for the full sensor, with the driver's window.
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from selfcal_ros.errors import SelfcalError
@@ -26,6 +26,9 @@ from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.report.camera_uncertainty import stored_uncertainty
 from selfcal_ros.report.camera_yaml import read_camera_yaml
+
+if TYPE_CHECKING:
+    from rclpy.impl.rcutils_logger import RcutilsLogger
 
 #: How times of files are told.
 WHEN = '%Y-%m-%d %H:%M'
@@ -57,7 +60,7 @@ class StoredCamera:
 
     """
 
-    def __init__(self, file: CalibrationFile, logger):
+    def __init__(self, file: CalibrationFile, logger: RcutilsLogger) -> None:
         self.path: Path = file.path
         self.camera: Camera | None = None
         self.covariance: np.ndarray | None = None

@@ -36,4 +36,5 @@ def transform_type(for_what: str) -> type:
     except ImportError:
         raise InputError(f'{for_what} needs the package tf2_msgs (ros-jazzy-tf2-msgs), which is '
                          'not installed.') from None
-    return TFMessage
+    kind: type = TFMessage
+    return kind

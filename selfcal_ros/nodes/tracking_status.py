@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 import numpy as np
 
@@ -26,7 +28,7 @@ _LEVELS = {TrackerState.INITIALISING: WARN, TrackerState.TRACKING: OK,
 
 
 def tracking_status(newest: ObjectInImage | None, camera_problem: str, dropped: int,
-                    silent_s: float) -> tuple[int, str, dict]:
+                    silent_s: float) -> tuple[int, str, dict[str, Any]]:
     """
     Describe how the tracking goes.
 
@@ -47,7 +49,7 @@ def tracking_status(newest: ObjectInImage | None, camera_problem: str, dropped: 
     values : dict
 
     """
-    values = {'images dropped': dropped}
+    values: dict[str, Any] = {'images dropped': dropped}
     if newest is None:
         level, text = WARN, 'no image has been tracked yet'
     else:
@@ -59,7 +61,7 @@ def tracking_status(newest: ObjectInImage | None, camera_problem: str, dropped: 
     return level, text, values
 
 
-def _describe(newest: ObjectInImage, values: dict) -> tuple[int, str]:
+def _describe(newest: ObjectInImage, values: dict[str, Any]) -> tuple[int, str]:
     """Put what the newest image gave into values; returns level and text."""
     snapshot, tracked = newest.snapshot, newest.tracked
     values.update({'images': snapshot.images, 'losses': snapshot.losses,

@@ -28,8 +28,10 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any, TypeAlias
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from msg_adapters.message_types import Message
 from msg_adapters.poses import pose_covariance, pose_matrix
 from msg_adapters.stamps import stamp_ns
 from rclpy.node import Node
@@ -42,24 +44,27 @@ from selfcal_ros.values.output_files import atomic_write
 
 #: Nothing has come for so long after the end of the bag: nothing more will.
 SILENCE_S = 2.0
+#: Stamp in ns, pose (3, 4) and covariance (6, 6).
+StampedPose: TypeAlias = tuple[int, list[list[float]], list[list[float]]]
 
 
 class PoseListener(Node):
     """Gathers poses."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('tracking_supervisor')
-        self.poses = []
+        self.poses: list[StampedPose] = []
         self.heard = time.monotonic()
         self.create_subscription(PoseWithCovarianceStamped, 'pose', self._on_pose, PER_IMAGE)
 
-    def _on_pose(self, msg):
+    def _on_pose(self, msg: Message) -> None:
         self.poses.append((stamp_ns(msg.header.stamp), pose_matrix(msg)[:3].tolist(),
                            pose_covariance(msg).tolist()))
         self.heard = time.monotonic()
 
 
-def replay_tracking(bag, parameters: dict, rate: float = 1.0, timeout_s: float = 120.0) -> list:
+def replay_tracking(bag: str | Path, parameters: dict[str, Any], rate: float = 1.0,
+                    timeout_s: float = 120.0) -> list[StampedPose]:
     """
     Replay a bag through the tracker, two processes over DDS.
 

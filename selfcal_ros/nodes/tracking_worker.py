@@ -26,7 +26,7 @@ from typing import Any
 
 import cv2
 from msg_adapters.image import image_message, ImageDecoder
-from msg_adapters.message_types import rclpy_types
+from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.stamps import stamp_ns
 import numpy as np
 
@@ -63,7 +63,7 @@ class ObjectInImage:
     problem: str
     seconds: float
     snapshot: TrackingSnapshot
-    sees: dict = field(default_factory=dict)
+    sees: dict[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class InstantMessages:
     """
 
     header: Header
-    images: tuple
+    images: tuple[Message, ...]
     drawn: Sequence[bool]
     depth: np.ndarray | None = None
 
@@ -133,7 +133,7 @@ class TrackedImage:
 
     header: Header
     objects: tuple[ObjectInImage | None, ...]
-    overlays: tuple
+    overlays: tuple[Message, ...]
 
 
 class TrackingWorker:
@@ -155,14 +155,14 @@ class TrackingWorker:
 
     """
 
-    def __init__(self, sessions: Sequence[TrackingSession], ready: Callable,
-                 names: Sequence[str] = ('',)):
+    def __init__(self, sessions: Sequence[TrackingSession], ready: Callable[[], object],
+                 names: Sequence[str] = ('',)) -> None:
         self._sessions: tuple[Any, ...] = tuple(sessions)
         self._ready, self._names = ready, tuple(names)
         self._decoder = ImageDecoder()
         self._types = rclpy_types()
         self._wake = threading.Condition()
-        self._commands: deque[Callable] = deque()
+        self._commands: deque[Callable[[], object]] = deque()
         self._image: tuple[InstantMessages, tuple[int, ...]] | None = None
         self._results: deque[tuple[TrackedImage, tuple[int, ...]] | str] = deque()
         #: How often each object began anew.
@@ -172,7 +172,8 @@ class TrackingWorker:
         self._thread = threading.Thread(target=self._work, daemon=True, name='tracking')
         self._thread.start()
 
-    def command(self, action: Callable, which: int | None = None, anew: bool = False) -> None:
+    def command(self, action: Callable[[Any], object], which: int | None = None,
+                anew: bool = False) -> None:
         """
         Queue action(session), to be done before the next image.
 
@@ -205,7 +206,8 @@ class TrackingWorker:
 
     def _current(self, begun: tuple[int, ...]) -> np.ndarray:
         """Which objects did not begin anew since, (N,) bool."""
-        return np.array(begun) == self._begun
+        current: np.ndarray = np.array(begun) == self._begun
+        return current
 
     def poll(self) -> TrackedImage | str | None:
         """Return what is done: an image, or the sentence of a command that failed."""
@@ -228,7 +230,7 @@ class TrackingWorker:
             self._wake.notify()
         self._thread.join(1.0)
 
-    def _work(self):
+    def _work(self) -> None:
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._stopped or self._commands or self._image)
@@ -246,12 +248,12 @@ class TrackingWorker:
             if not self._stopped:
                 self._ready()
 
-    def _tell(self, result):
+    def _tell(self, result: tuple[TrackedImage, tuple[int, ...]] | str) -> None:
         """Hand a result over."""
         with self._wake:
             self._results.append(result)
 
-    def _do(self, action):
+    def _do(self, action: Callable[[], object]) -> None:
         try:
             action()
         except SelfcalError as error:
@@ -286,7 +288,7 @@ class TrackingWorker:
             problem = fault(error)
         return DecodedImages((grey,), stamp, problem, bgr, seen.depth)
 
-    def _found(self, session, pictures: DecodedImages, began: float) -> ObjectInImage:
+    def _found(self, session: Any, pictures: DecodedImages, began: float) -> ObjectInImage:
         """Find one object, or say why not; `began` is when the images were taken up, seconds."""
         sees: dict[str, bool] = {}
         tracked, problem = None, pictures.problem
@@ -301,14 +303,15 @@ class TrackingWorker:
         return ObjectInImage(tracked, session.camera, problem, time.perf_counter() - began,
                              session.snapshot(), sees)
 
-    def _look(self, session, pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
+    def _look(self, session: Any,
+              pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
         """Find one object; and which of several cameras see it."""
         grey, = pictures.grey
         image = pictures.bgr if session.wants_colour and pictures.bgr is not None else grey
         return session.add(image, pictures.stamp_ns, pictures.depth), {}
 
     def _overlay(self, which: int, pictures: DecodedImages,
-                 objects: Sequence[ObjectInImage | None], seen: InstantMessages):
+                 objects: Sequence[ObjectInImage | None], seen: InstantMessages) -> Message | None:
         """Draw all objects over the image of one camera; None where that cannot be done."""
         picture = pictures.grey[which]
         if picture is None:

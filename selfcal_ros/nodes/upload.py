@@ -21,6 +21,8 @@ from msg_adapters.stamps import header_message
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_topic_name import validate_topic_name
 from selfcal_ros.errors import ArgumentError
@@ -30,7 +32,7 @@ from sensor_msgs.srv import SetCameraInfo
 SERVICE_TYPE = 'sensor_msgs/srv/SetCameraInfo'
 
 
-def check_service(node, service: str) -> None:
+def check_service(node: Node, service: str) -> None:
     """
     Refuse what cannot be the name of a service of a node; none is fine.
 
@@ -69,7 +71,7 @@ class CameraInfoUpload:
 
     """
 
-    def __init__(self, node, service: str):
+    def __init__(self, node: Node, service: str) -> None:
         check_service(node, service)
         self._node = node
         self._client = node.create_client(
@@ -118,7 +120,7 @@ class CameraInfoUpload:
         return (f'services of this type: {", ".join(there)}' if there
                 else 'there is no other service of this type')
 
-    def _answered(self, future):
+    def _answered(self, future: Future) -> None:
         try:
             answer = future.result()
         except Exception as error:  # a driver that goes down in between
