@@ -35,7 +35,7 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
     (['calibrate', 'x.csv', '--lens', 'fisheye'], 'fisheye is called equidistant here; selfcal'),
     (['calibrate', 'x.csv', '--output', 'c.json'], 'c.json is YAML, and must be named .yaml.'),
     (['calibrate', 'x.csv', '--ply', 'c.obj'], 'c.obj is PLY, and must be named .ply.'),
-    (['calibrate', 'x.csv', '--motion', 'general', '--views', '3'], 'at least 4 of them; or limit'),
+    (['calibrate', 'x.csv', '--motion', 'general', '--views', '3'], 'at least 4 of them; or'),
     (['track', 'x', '--model', 'm', '--init', '0.1', '0', '0.4', '2', '1', '0'], 'selfcal track: '
      'argument --init: the six numbers go in quotes: --init "0.1 0 0.4 2.1 0.8 0.1"'),
     (['calibrate', '--init', '-0.1', '0', '0.4', '2', '1', '0', 'x'], 'go in quotes'),
