@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
-from selfcal_ros.cli.force import add_force_argument, check_outputs, written_line
+from selfcal_ros.cli.force import (add_force_argument, check_outputs, check_suffix,
+                                   written_line)
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.parsing import add_seed_argument
@@ -173,9 +174,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_options(args: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
     from selfcal_ros.errors import ArgumentError
-    if args.report and args.report.suffix.lower() not in ('', '.html', '.htm'):
-        raise ArgumentError(f'The report {args.report} is one page, and must be named .html.')
-    _check_suffix('camera file', args.output, 'YAML', ('.yaml', '.yml'))
+    check_suffix('report', args.report, 'is one page', '.html', '.htm')
+    check_suffix('camera file', args.output, 'is YAML', '.yaml', '.yml')
     known = bool(args.object) or args.track
     if known and args.motion not in ('auto', 'known-object'):
         option = '--track' if args.track else '--object'
@@ -207,13 +207,6 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.max_keyframes is not None and args.max_keyframes < least:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
                             'calibrate.')
-
-
-def _check_suffix(what: str, path: Path | None, kind: str, suffixes: tuple[str, ...]) -> None:
-    """Refuse a name that tells of another kind of file; one without a suffix tells of none."""
-    from selfcal_ros.errors import ArgumentError
-    if path is not None and path.suffix.lower() not in ('', *suffixes):
-        raise ArgumentError(f'The {what} {path} is {kind}, and must be named {suffixes[0]}.')
 
 
 def _run_one(args: argparse.Namespace, path: str, settings: CalibrationSettings) -> int:

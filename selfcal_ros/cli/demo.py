@@ -121,6 +121,11 @@ def logs_in(folder: Path) -> set[Path]:
     return {one for one in (folder / LOG).glob('*.log') if _LOG_NAME.fullmatch(one.name)}
 
 
+def logged_since(folder: Path, earlier: set[Path]) -> list[Path]:
+    """Return the folder of the logs, if there are others than earlier."""
+    return [folder / LOG] if logs_in(folder) - earlier else []
+
+
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     if args.recording == 'object':
@@ -161,7 +166,7 @@ def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> i
             # the nodes have written the rest
             written = [path for path in (camera_yaml, result_json) if path.exists()]
             outputs = replace(outputs, camera_yaml=None, result_json=None)
-    logged = [folder / LOG] if logs_in(folder) - logs else []
+    logged = logged_since(folder, logs)
     direct, tracks = _from_bag(bag)
     if result:
         print(f'\n{result_text(result, truth=read_truth(bag))}\n\n{_agreement(result, direct)}')

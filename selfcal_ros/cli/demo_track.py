@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
            for_nodes: tuple[Path, Path, Path, Path, float] | None) -> int:
     """Track through the nodes, if there is something for them, and without; returns the status."""
-    from selfcal_ros.cli.demo import LOG, logs_in
+    from selfcal_ros.cli.demo import logged_since, logs_in
     from selfcal_ros.cli.track import track_recording
     truth, folder = _truth(bag), outputs[0].parent
     rows, logs = [], logs_in(folder)
@@ -80,7 +80,7 @@ def _track(bag: Path, target: Target, camera: Camera, outputs: Sequence[Path],
         else:
             print('Tracking straight in the bag instead.')
     of_nodes = [folder / NODE_POSES] if rows else []
-    logged = [folder / LOG] if logs_in(folder) - logs else []
+    logged = logged_since(folder, logs)
     poses = []
 
     def gather(frame: Frame, objects: Sequence[TrackedFrame]) -> None:

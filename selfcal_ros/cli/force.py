@@ -29,7 +29,7 @@ import os
 from pathlib import Path
 
 from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
 
 
 def add_force_argument(parser: argparse._ActionsContainer,
@@ -72,6 +72,12 @@ def check_outputs(precious: Iterable[str | os.PathLike[str] | None],
     with _folders_of([*kept, *others]):
         output_files.check_outputs([*kept, *others], inputs, options or {})
         _refuse_taken(kept, force)
+
+
+def check_suffix(what: str, path: Path | None, kind: str, *suffixes: str) -> None:
+    """Refuse a name that tells of another kind of file; one without a suffix tells of none."""
+    if path is not None and path.suffix.lower() not in ('', *suffixes):
+        raise ArgumentError(f'The {what} {path} {kind}, and must be named {suffixes[0]}.')
 
 
 def _refuse_taken(kept: list[str | os.PathLike[str]], force: bool) -> None:

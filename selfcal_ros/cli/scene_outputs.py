@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.facts import FREE
-from selfcal_ros.cli.force import make_folder
+from selfcal_ros.cli.force import check_suffix, make_folder
 from selfcal_ros.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
@@ -260,8 +260,7 @@ def _check_structure(args: argparse.Namespace, asked: list[str]) -> None:
     if args.track:
         raise ArgumentError(f'--{asked[0]} writes points, and --track follows edges; leave it '
                             'out. --poses has the path.')
-    if args.ply and args.ply.suffix.lower() not in ('', '.ply'):
-        raise ArgumentError(f'The structure {args.ply} is PLY, and must be named .ply.')
+    check_suffix('structure', args.ply, 'is PLY', '.ply')
     if args.ply and args.object:
         raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
                             'object is known.')

@@ -23,7 +23,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import check_outputs, written_line
+from selfcal_ros.cli.force import check_outputs, check_suffix, written_line
 from selfcal_ros.cli.parsing import add_seed_argument, start_pose
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -124,8 +124,7 @@ def run(args: argparse.Namespace) -> int:
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
     if args.init_sigma is not None and not 0 < args.init_sigma < 1e6:
         raise ArgumentError(f'--init-sigma takes some metres, not {args.init_sigma:g}.')
-    if args.output.suffix.lower() not in ('', '.csv'):
-        raise ArgumentError(f'The poses {args.output} are a table, and must be named .csv.')
+    check_suffix('poses', args.output, 'are a table', '.csv')
     excerpt = excerpt_from(args)
     paths = several(str(args.model))
     if len(paths) > 1 and args.clicks:

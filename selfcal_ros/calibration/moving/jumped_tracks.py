@@ -27,7 +27,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit
 from selfcal_ros.calibration.moving.track_judgement import (CHANCE, distances, freedom_of,
-                                                            instants, judged, scene_of,
+                                                            instants, judge_scene, scene_of,
                                                             TrackTest)
 from selfcal_ros.geometry.distributions import chi2_sf
 
@@ -76,7 +76,8 @@ def find_jumps(fit: RobustFit, observations: Observations, places: np.ndarray, l
         By track the rows of its observations that agree, and which of them are the later part's.
 
     """
-    row, piece, owner, cut = _halves(observations, places, least, instants(fit.bundle))
+    instant = instants(fit.bundle)
+    row, piece, owner, cut = _halves(observations, places, least, instant)
     if not len(owner):
         return {}
     halves = Observations(observations.view[row], piece, observations.xy[row],
@@ -87,8 +88,7 @@ def find_jumps(fit: RobustFit, observations: Observations, places: np.ndarray, l
     scene = scene_of(fit.bundle, fit.state, halves)
     if scene is None:
         return {}
-    copies = int(np.bincount(instants(fit.bundle)).max())
-    test = judged(piece, distances(*scene), copies, copies)
+    test = judge_scene(scene, piece, instant)
     # how far the one half's point is from where the other begins, and the other way round
     bundle, state = scene
     other = np.arange(2 * len(owner)) ^ 1

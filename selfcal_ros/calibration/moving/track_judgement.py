@@ -104,10 +104,14 @@ def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Ob
     scene = scene_of(bundle, state, observations)
     if scene is None:
         return None
-    own, state = scene
-    distance = distances(own, state)
-    copies = int(np.bincount(instants(bundle)).max())
-    return judged(observations.point, distance, spread * copies, copies)
+    return judge_scene(scene, observations.point, instants(bundle), spread)
+
+
+def judge_scene(scene: tuple[Bundle[SceneState], SceneState], point: np.ndarray,
+                instant: np.ndarray, spread: float = 1.0) -> TrackTest:
+    """Judge tracks (N,) by the points of a scene (`scene_of`); instants (V,) number its views."""
+    copies = int(np.bincount(instant).max())
+    return judged(point, distances(*scene), spread * copies, copies)
 
 
 def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
