@@ -13,12 +13,10 @@
 # limitations under the License.
 """A ROS graph for one test: domain of its own, log in a temporary folder, waits with a timeout."""
 
-from importlib import import_module
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import queue
-import signal
 import subprocess
 import sys
 import threading
@@ -189,23 +187,15 @@ class Process:
 
 
 @pytest.fixture
-def ended(monkeypatch, capfd):
-    """
-    Run a node that ends by itself, as its command does but in this process.
-
-    A process of its own takes a second to say a sentence.
-    """
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
+def ended(tmp_path):
+    """Run a node that ends by itself, in a process of its own; return its status and errors."""
     def run(module, *arguments):
-        monkeypatch.setattr(sys, 'argv', [f'{module}.py', '--ros-args', *arguments])
-        node = import_module(f'selfcal_ros.nodes.{module}')
-        capfd.readouterr()
-        return node.main(sys.argv[1:]), capfd.readouterr().err
+        found = subprocess.run(
+            [sys.executable, '-m', f'selfcal_ros.nodes.{module}', '--ros-args', *arguments],
+            capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False)
+        return found.returncode, found.stderr
 
-    yield run
-    for number, handler in kept.items():
-        signal.signal(number, handler)
+    return run
 
 
 @pytest.fixture

@@ -147,14 +147,8 @@ def test_a_signal_at_once_ends_a_node_silently(start, name):
 def test_a_wrong_input_is_one_sentence_and_status_2(ended, name, arguments, words):
     status, errors = ended(name, *arguments)
     assert status == 2, errors
-    assert words in errors and 'Traceback' not in errors
-
-
-def test_a_process_with_a_wrong_input_ends_with_the_sentence_and_the_status(start):
-    process = start('planar_calibrator', '--params-file', '/nowhere.yaml')
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 2, errors
-    assert 'does not exist' in errors
+    # neither a traceback, nor a line of rcl
+    assert words in errors and errors.count('\n') == 1
     # rcl has nothing to add
     assert errors.count('\n') == 1
 
