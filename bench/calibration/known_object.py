@@ -126,7 +126,7 @@ def thesis_grid(report: Report) -> None:
 def recorded(report: Report) -> None:
     """Recorded sets with known cameras."""
     for name, read, limit in (('opencv_left', _left, 0.2), ('vamr_tags3d', _tags, 1.0),
-                              ('kuka_chess', _kuka, 0.1)):
+                              ('kuka_chess', kuka_board, 0.1)):
         folder = data_folder(name)
         report.section(name, 'Facts: skew 0. Same corners for both; OpenCV with the same '
                        'distortion model. Boards are supposed flat, as the truths suppose.')
@@ -276,7 +276,8 @@ def _tags(folder):
     return _tracks(seen, (752, 480)), KnownObject(np.arange(len(points)), points)
 
 
-def _kuka(folder):
+def kuka_board(folder):
+    """Return the corners of the board of `kuka_chess`, and the board."""
     corners = np.load(folder / 'corners.npz', allow_pickle=False)
     seen = corners['image'][:, :, 0].astype(float)
     return _tracks(seen, (1928, 1208)), KnownObject(np.arange(seen.shape[1]), corners['object'])
