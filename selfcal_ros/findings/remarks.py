@@ -29,8 +29,8 @@ REMARKS: dict[str, Phrase] = {
     'path_torn': Phrase(
         'The path may be two parts of different scale, at frame {frame}: {kept_percent:.0f} '
         '% of the tracks that pass it are explained.',
-        'The calibration rests on both parts and is not concerned. The path, the structure, and '
-        'where the camera sits on a robot are.',
+        'Both parts agree in the camera, so that it stands. The path, the structure, and where '
+        'the camera sits on a robot may be wrong.',
         'Record slower there, so that more of the scene stays in view; or leave one part out.'),
     # errors that are shared
     'errors_within_track': Phrase(

@@ -170,8 +170,8 @@ def images_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
         left.legend(loc='lower right')
         _arrows(right, result, seen, int(worst[0]), int(fit.key[worst[0]]))
     return Drawing('images-fit', 'Which images fit', 'Left, the worst are named. Right, the '
-                   'residuals of the worst: noise points everywhere; arrows that agree tell of '
-                   'blur, of a rolling shutter, or of a lens unlike its model.',
+                   'residuals of the worst: those of noise point in all directions; arrows that '
+                   'agree tell of blur, of a rolling shutter, or of a lens unlike its model.',
                    (figure_of(left), figure_of(right)))
 
 
