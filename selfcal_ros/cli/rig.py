@@ -51,7 +51,7 @@ def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--cameras', metavar='NAMES',
                        help='names, separated by commas, of the cameras of the INPUTs, such as '
                             'left,right; with one bag the image topics, such as '
-                            '/left/image_raw,/right/image_raw')
+                            '/left/image_raw,/right/image_raw; with one folder the folders in it')
     group.add_argument('--baseline', type=_length, metavar='METRES[:SIGMA]',
                        help='distance of the first two cameras, such as 0.11:0.0005 (default: '
                             'lengths in steps of the path; sigma 0: exact)')

@@ -172,6 +172,8 @@ def _choose_mode(images: list[np.ndarray], mask: ImageMask | None) -> tuple[str,
     shares, steps = zip(*(followed_share(a, b, mask) for a, b in zip(images, images[1:])))
     diagonal = float(np.hypot(*images[0].shape))
     share, step = float(np.median(shares)), float(np.median(steps)) / diagonal
+    if not np.isfinite(step):
+        return 'wide', Finding('frames_far_apart')
     mode = 'video' if share > 0.8 and step < 0.04 else 'wide'
     return mode, Finding('mode_chosen', followed=share, step=step, mode=mode)
 

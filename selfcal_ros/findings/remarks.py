@@ -373,6 +373,11 @@ REMARKS: dict[str, Phrase] = {
         'of the image diagonal: {mode} mode.',
         'Video mode follows corners from frame to frame. Wide mode matches descriptors.',
         'Name the other mode if the choice is wrong.'),
+    'frames_far_apart': Phrase(
+        'Hardly any corners could be followed between the first frames: matched as photographs.',
+        'Wide mode matches descriptors. Images of a video that are out of order look like this, '
+        'too.',
+        'Nothing if they are photographs; else name the files in their order.'),
     'frames_thinned': Phrase(
         '{frames} of the frames were used, evenly spaced.',
         'More images than are needed were given.',

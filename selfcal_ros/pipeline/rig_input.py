@@ -92,10 +92,10 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     Parameters
     ----------
     paths : sequence of str
-        One an input for every camera, or a single bag.
+        One an input for every camera, a single bag, or a folder with one folder a camera.
     cameras : str
         Names, separated by commas: 'left,right'; for a bag topics, or names that occur in them.
-        'left=/front/image_raw' gives a topic a name.
+        'left=/front/image_raw' gives a topic a name, and 'left=cam0' a folder.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
         raise ArgumentError('--cameras takes the names of two or more cameras, separated by '
                             'commas, such as left,right.')
     if len(paths) == 1:
-        found = _of_bag(paths[0], words)
+        found = _in_folder(paths[0], words) or _of_bag(paths[0], words)
     elif len(paths) == len(words):
         parts = [word.partition('=') for word in words]
         found = [RigInput(name, path, topic or None)
@@ -129,11 +129,24 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     return found
 
 
+def _in_folder(path: str, words: list[str]) -> list[RigInput]:
+    """Find a folder of images for each camera; none unless all are there."""
+    found = []
+    for word in words:
+        name, _, folder = word.partition('=')
+        place = Path(path) / (folder or name)
+        if is_bag_folder(Path(path)) or '/' in word or not place.is_dir():
+            return []
+        found.append(RigInput(name, str(place)))
+    return found
+
+
 def _of_bag(path: str, words: list[str]) -> list[RigInput]:
     """Find the topics of a bag that cameras are named by."""
     place = Path(path)
     if not (place.suffix in BAG_SUFFIXES or place.is_dir() and is_bag_folder(place)):
-        raise ArgumentError(f'{path} is no bag: give one INPUT for each camera of --cameras.')
+        raise ArgumentError(f'{path} is no bag, and holds no folder for each camera of '
+                            '--cameras: give one INPUT for each.')
     topics = image_topics(Path(path))
     found = []
     for word in words:

@@ -79,6 +79,7 @@ def write_rig_page(path: str | Path, result: RigCalibration | NotCalibrated, tex
     return atomic_write(path, page_environment().get_template('rig.html.j2').render(
         calibrated=bool(result), source=source, text=text, tables=tables,
         drawings=list(drawings.values()), matrices=matrices, files=files,
+        metric=bool(result) and result.unit == 'm',
         verdict=unbroken(verdict(result)) if result else result.reason,
         numbers=_numbers(result) if result else [], made=made.rows() if made else [],
         notes=[Markup('{}').format(one) for one in result.notes]))

@@ -30,7 +30,7 @@ from selfcal_ros import CameraFacts
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
-from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
+from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs, RigInput
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
@@ -258,6 +258,15 @@ def test_what_is_wrong_is_one_sentence(words, reason, capsys, tmp_path, monkeypa
     assert status == 2
     said = capsys.readouterr().err
     assert reason in said and len(said.strip().splitlines()) == 1
+
+
+def test_one_folder_may_hold_a_folder_of_images_for_each_camera(tmp_path):
+    for name in ('cam0', 'cam1'):
+        (tmp_path / name).mkdir()
+    assert rig_inputs([str(tmp_path)], 'left=cam0,cam1') == [
+        RigInput('left', str(tmp_path / 'cam0')), RigInput('cam1', str(tmp_path / 'cam1'))]
+    with pytest.raises(ArgumentError, match='holds no folder for each camera'):
+        rig_inputs([str(tmp_path)], 'cam0,cam2')
 
 
 def test_the_same_images_are_no_two_cameras():

@@ -82,6 +82,14 @@ def test_the_same_seed_gives_the_same_tracks(photographs):
     assert np.array_equal(first.xy, second.xy) and np.array_equal(first.track, second.track)
 
 
+def test_images_of_which_none_resembles_the_next_are_said_to_be_far_apart():
+    images = [cv2.GaussianBlur(np.random.default_rng(k).integers(0, 255, (120, 160), np.uint8),
+                               None, 2) for k in range(6)]
+    told = {one.kind: str(one) for one in extract_tracks(_stream(images)).findings}
+    assert 'frames_far_apart' in told and 'inf' not in told['frames_far_apart']
+    assert 'mode_chosen' not in told
+
+
 @pytest.mark.parametrize('mode', ['auto', 'video', 'wide'])
 def test_no_image_is_an_input_error(mode):
     with pytest.raises(InputError, match='no image'):
