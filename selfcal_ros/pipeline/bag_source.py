@@ -151,6 +151,8 @@ class BagSource(FrameSource):
                 wanted, self._asked = beside, topic
             if not wanted:
                 there = f'its image topics are {listing}' if images else 'it holds no images'
+                meant = _nearest(topic, list(counts))
+                there += f'; perhaps {meant} is meant' if meant else ''
                 raise InputError(f'{self.path} has no topic {topic}; {there}.')
             chosen = [c for c in wanted if c.msgtype in IMAGE_TYPES]
             if not chosen:
@@ -259,6 +261,16 @@ class BagSource(FrameSource):
         if reader is not None:
             with readable(self.path):
                 reader.close()
+
+
+def _nearest(topic: str, names: list[str]) -> str:
+    """Return the one topic that ends like this, or is spelt nearly so; '' if there is none."""
+    ending = [name for name in names
+              if f'{name.removesuffix(COMPRESSED)}/'.endswith(f'/{topic.strip("/")}/')]
+    if len(ending) == 1:
+        return ending[0]
+    from difflib import get_close_matches
+    return next(iter(get_close_matches(topic, names, 1)), '')
 
 
 def image_topics(path: str | Path) -> list[str]:

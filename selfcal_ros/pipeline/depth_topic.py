@@ -25,7 +25,7 @@ from msg_adapters.stamps import stamp_ns
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.bag_source import open_bag
+from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, is_bag_folder, open_bag
 from selfcal_ros.pipeline.depth_pairing import SAME_NS
 
 #: Depth images are kept for so long, nanoseconds: the two topics are recorded in any order.
@@ -88,9 +88,12 @@ def open_depths(path: str | Path, topic: str) -> Iterator[DepthTopic]:
         If the input is no bag, or has no such topic of images.
 
     """
+    if not (is_bag_folder(Path(path)) or Path(path).suffix in BAG_SUFFIXES):
+        raise InputError(f'{path} is no bag, so it has no topic {topic:.80} of depths; leave '
+                         '--depth-topic out, or give a bag.')
     with open_bag(path) as bag:
         connections = [one for one in bag.connections
-                       if one.topic == topic and one.msgtype == _IMAGE]
+                       if one.topic in (topic, f'/{topic}') and one.msgtype == _IMAGE]
         if not connections:
             others = sorted({one.topic for one in bag.connections if one.msgtype == _IMAGE})
             raise InputError(f'{path} has no images on {topic!r:.80}; there are '

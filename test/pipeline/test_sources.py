@@ -247,6 +247,15 @@ def test_the_two_codings_of_image_transport_are_one_camera(tmp_path, raw, compre
     assert 'has 2 image topics, choose one' in refusal(two)
 
 
+def test_a_topic_without_its_namespace_or_with_a_slip_is_answered_with_what_is_there(tmp_path):
+    path = write_bag(tmp_path / 'bag', [(topic, IMAGE, 1, message(images()[0])) for topic in (
+        '/front/image_raw', '/rear/image_raw', '/front/image_rect')])
+    for topic, meant in (('image_rect', '/front/image_rect'),
+                         ('/rear/image_rwa', '/rear/image_raw')):
+        assert refusal(path, topic=topic).endswith(f'; perhaps {meant} is meant.')
+    assert 'perhaps' not in refusal(path, topic='/lidar')
+
+
 @pytest.mark.parametrize('storage, suffix', [('mcap', '.mcap'), ('sqlite3', '.db3')])
 def test_truncated_bags(tmp_path, storage, suffix):
     write_image_bag(tmp_path / 'bag', frames(40), TOPIC, storage)
