@@ -26,7 +26,7 @@ from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.pair_geometry import (EpipolesAndAxes, flat_enough, pair_geometry,
                                               single_pairs)
 from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, image_axes, INK,
-                                      new_panel, ORANGE, PAPER, PURPLE, RED, styled)
+                                      legend_below, new_panel, ORANGE, PAPER, PURPLE, RED, styled)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +66,7 @@ def fixed_points_figure(result: Calibration,
     if pairs is None or not single:
         pairs = pair_geometry(result.reconstructed, result.camera.K)
     with styled():
-        whole, zoom = new_panel(5.1), new_panel(5.1)
+        whole, zoom = new_panel(5.5), new_panel(5.5)
         window = _whole_window(result, fixed, pairs)
         _draw(whole, result, fixed, pairs, window, 'The whole image plane')
         _draw(zoom, result, fixed, pairs, _zoom_window(result.camera), 'The image')
@@ -74,8 +74,7 @@ def fixed_points_figure(result: Calibration,
         _vanishing_point(whole, result, fixed)
         circular = _circular_points(whole, fixed)
         for axes in (whole, zoom):
-            axes.figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center',
-                               ncol=3, columnspacing=1.4, handlelength=1.6, frameon=False)
+            legend_below(axes, 3, columnspacing=1.4, handlelength=1.6, frameon=False)
     caption = ('In undistorted pixels. Under planar motion all epipoles lie on the horizon and '
                'all screw axes pass through the vanishing point of the rotation axis')
     caption += _distances(result, fixed, pairs) if single else '.'

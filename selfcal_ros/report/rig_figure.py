@@ -21,8 +21,8 @@ import numpy as np
 
 from selfcal_ros.calibration.rigs.result import RigCalibration
 from selfcal_ros.report.rig_epipolar import WRONG_PX
-from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, INK, new_panel, ORANGE,
-                                      PURPLE, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, INK, legend_below,
+                                      new_panel, ORANGE, PURPLE, styled)
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 #: Views: to the right on the paper, and upwards, as axis and sign.
@@ -69,7 +69,7 @@ def rig_figure(rig: RigCalibration) -> Drawing | None:
             axes.set_ylabel(up.format(unit))
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)
-            axes.figure.legend(loc='outside lower center', ncols=4)
+            legend_below(axes, 4)
             panels.append(figure_of(axes))
     return Drawing('rig', 'The cameras to each other', 'In the optical frame of the first camera: '
                    'x right, y down, z ahead. Arrows are the optical axes; the pyramids '

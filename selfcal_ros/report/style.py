@@ -131,6 +131,13 @@ def new_panel(height_in: float = 3.4) -> Axes:
     return Figure(figsize=(PANEL_WIDTH_IN, height_in), layout='constrained').subplots()
 
 
+def legend_below(axes: Axes, columns: int, **more: Any) -> None:
+    """Put the legend under axes, their numbers and their label."""
+    # Matplotlib 3.6 has no "outside lower center"; the distance is in sizes of its letters
+    axes.legend(loc='upper center', bbox_to_anchor=(0.5, 0), borderaxespad=4.2, ncol=columns,
+                **more)
+
+
 def figure_of(axes: Axes) -> Figure:
     """Return the whole figure that axes are in."""
     figure = axes.figure

@@ -31,7 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import block_diag, csr_array, eye_array
+from scipy.sparse import block_diag, csr_array, identity
 
 from selfcal_ros.calibration.bundle.information import inverse_information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
@@ -299,7 +299,7 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
     number[further] = np.arange(len(further))
 
     rest = np.r_[joint.place, aside]
-    selection = csr_array(block_diag([unknowns.selection, eye_array(len(aside))]))
+    selection = csr_array(block_diag([unknowns.selection, identity(len(aside))]))
     selection = embedded_selection(selection, rest, len(system.matrix))
     inverse = inverse_information(system.matrix, selection, system.diagonal)
     coupling = system.columns(further)
