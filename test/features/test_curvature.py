@@ -138,7 +138,8 @@ def test_positions_in_images_of_a_plane_are_off_as_predicted(seed):
     templates = registration.templates(image, xy)
     found, warp, correlation, step = registration.register(templates, there, true, affine,
                                                            iterations=20, tolerance_px=1e-4)
-    good = (correlation > 0.95) & (step < 1e-3)
+    # OpenCV 4 interpolates at multiples of 1/32 px: below this, steps go to and fro
+    good = (correlation > 0.95) & (step < 3e-3)
     off = (found - true)[good]
     predicted = feigned_shift(templates.response, warp, second)[good]
 
