@@ -74,10 +74,23 @@ def test_the_workflow_runs_make_test_on_every_python_that_setup_py_takes():
     least = re.search(r"python_requires='>=([\d.]+)'",
                       (ROOT / 'setup.py').read_text(encoding='utf-8'))[1]
     assert min((one['python'] for one in matrix), key=lambda v: int(v.split('.')[1])) == least
-    assert {'1.26', '2'} == {one['numpy'] for one in matrix}
+    assert {'oldest', 'numpy==1.26.*', 'numpy==2.*'} == {one['versions'] for one in matrix}
     # there is no NumPy 1.26 for Python 3.13
-    assert {'python': '3.13', 'numpy': '1.26'} not in matrix
+    assert {'python': '3.13', 'versions': 'numpy==1.26.*'} not in matrix
     assert any('make test' in step.get('run', '') for step in jobs['wheels']['steps'])
+
+
+def test_the_oldest_libraries_are_of_the_series_that_setup_py_takes():
+    pinned = dict(line.strip().split('==') for line in (ROOT / 'test/oldest.txt').read_text(
+        encoding='utf-8').splitlines() if not line.startswith('#'))
+    taken = dict(re.findall(r"'([\w-]+)>=([\d.]+)',", (ROOT / 'setup.py').read_text(
+        encoding='utf-8').split('install_requires')[1].split('extras_require')[0]))
+    # rosbags is in no Ubuntu
+    assert set(pinned) == set(taken) - {'rosbags'}
+    for name, version in pinned.items():
+        assert version.split('.')[0] == taken[name].split('.')[0]
+        assert [int(one) for one in version.split('.')] >= [
+            int(one) for one in taken[name].split('.')], name
 
 
 def test_the_hooks_of_git_run_the_linters_of_make_lint():
