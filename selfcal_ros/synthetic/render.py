@@ -386,9 +386,8 @@ class Renderer:
         best, a, b, w = _nearest(rays, inverse, motion)
         best[~(w > 0)] = len(surfaces)
         for index in np.flatnonzero(np.bincount(best, minlength=len(surfaces))[:len(surfaces)]):
-            hit: np.ndarray | slice = np.flatnonzero(best == index)
-            if len(hit) == len(best):
-                hit = slice(None)
+            there = np.flatnonzero(best == index)
+            hit = slice(None) if len(there) == len(best) else there
             depth = w[hit]
             u, v = a[hit] / depth, b[hit] / depth
             # texels that one sample's spacing covers, along the longer side of its footprint
