@@ -102,7 +102,8 @@ def zoomed(graph):
     return ZoomedDrive(graph(*OPTIONS))
 
 
-def test_a_zoom_warns_and_replaces_nothing_until_it_is_told_to_and_reset_ends_the_watch(zoomed):
+def test_a_zoom_warns_and_replaces_nothing_until_it_is_told_to(zoomed):
+    """And a reset ends the watch."""
     zoomed.publish(range(16))
     zoomed.graph.wait_for(zoomed.calibrations, 60, 'calibration')
     first = zoomed.infos[-1].k[0] or zoomed.calibrations()[0]['camera']['fx']
