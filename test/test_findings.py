@@ -31,6 +31,7 @@ from selfcal_ros.findings.phrase import MOTIONS, put_in_words
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from test_support.syntax_trees import trees_in
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'selfcal_ros'
@@ -41,8 +42,7 @@ FROM_FILES = {'note'}
 
 @cache
 def _trees():
-    return {path: ast.parse(path.read_text(encoding='utf-8'), str(path))
-            for path in sorted(PACKAGE.rglob('*.py'))
+    return {path: tree for path, tree in trees_in(PACKAGE).items()
             if PACKAGE / 'findings' not in path.parents}
 
 

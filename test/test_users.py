@@ -19,6 +19,8 @@ from functools import cache
 from pathlib import Path
 import re
 
+from test_support.syntax_trees import tree_of, trees_in
+
 ROOT = Path(__file__).resolve().parents[1]
 #: What counts as use. `bench` and `bags` make what the package is judged by.
 USERS = ('selfcal_ros', 'msg_adapters', 'launch', 'bench', 'docs', 'examples', 'bags')
@@ -46,9 +48,9 @@ SCENES = 'selfcal_ros/synthetic'
 
 @cache
 def _trees():
-    return {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text('utf-8'))
-            for folder in USERS for path in [
-                ROOT / 'setup.py', *sorted((ROOT / folder).rglob('*.py'))]}
+    found = {ROOT / 'setup.py': tree_of(ROOT / 'setup.py'),
+             **trees_in(*(ROOT / folder for folder in USERS))}
+    return {path.relative_to(ROOT).as_posix(): tree for path, tree in found.items()}
 
 
 def _public(tree):
@@ -78,17 +80,23 @@ def _uses(file):
     return imported, members
 
 
+@cache
+def _named(file):
+    """Count how often a file names what."""
+    return Counter(part.id for part in ast.walk(_trees()[file]) if isinstance(part, ast.Name))
+
+
 def _inside(file, node):
     """Tell whether a file names what it defines outside of the definition."""
-    own = {id(part) for part in ast.walk(node)}
-    return any(isinstance(part, ast.Name) and part.id == node.name and id(part) not in own
-               for part in ast.walk(_trees()[file]))
+    return _named(file)[node.name] > sum(
+        isinstance(part, ast.Name) and part.id == node.name for part in ast.walk(node))
 
 
 @cache
 def _for_tests_alone():
     """Return what no program uses: its file and its name."""
-    stated = (ROOT / 'docs' / 'api.md').read_text('utf-8')
+    stated = set(re.findall(r'^#+ .*?\b(\w+)$', (ROOT / 'docs' / 'api.md').read_text('utf-8'),
+                            re.M))
     members = set().union(*(_uses(file)[1] for file in _trees()))
     files_with = Counter(name for file in _trees() for name in _uses(file)[0])
     found = set()
@@ -99,7 +107,7 @@ def _for_tests_alone():
         for node, home in _public(tree):
             used = node.name in members or (not home and (
                 files_with[node.name] > (node.name in imports) or _inside(file, node)))
-            if not used and not re.search(rf'^#+ .*\b{node.name}$', stated, re.M):
+            if not used and node.name not in stated:
                 found.add((file.removeprefix('selfcal_ros/'), node.name))
     return found
 

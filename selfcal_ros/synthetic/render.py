@@ -134,13 +134,26 @@ class Scene:
         level = np.clip(level, 0, PYRAMID_LEVELS - 1)
         lower = np.minimum(level.astype(np.int64), PYRAMID_LEVELS - 2)
         fraction = level - lower
+        lowest, highest = int(lower.min()), int(lower.max())
+        if lowest == highest:
+            return self._between(surface, lowest, u, v, fraction)
         value = np.empty(len(u))
         # most surfaces are seen at one level or two
-        for first in range(int(lower.min()), int(lower.max()) + 1):
+        for first in range(lowest, highest + 1):
             here = np.flatnonzero(lower == first)
-            value[here] = self._bilinear(surface, first, u[here], v[here])
-            blurred = here[fraction[here] > 0]
-            upper = self._bilinear(surface, first + 1, u[blurred], v[blurred])
+            if len(here):
+                value[here] = self._between(surface, first, u[here], v[here], fraction[here])
+        return value
+
+    def _between(self, surface: int, level: int, u: np.ndarray, v: np.ndarray,
+                 fraction: np.ndarray) -> np.ndarray:
+        """Sample a texture at a level and, where `fraction` > 0, so far towards the next."""
+        value = self._bilinear(surface, level, u, v)
+        blurred = np.flatnonzero(fraction > 0)
+        if len(blurred) == len(u):
+            value += fraction * (self._bilinear(surface, level + 1, u, v) - value)
+        elif len(blurred):
+            upper = self._bilinear(surface, level + 1, u[blurred], v[blurred])
             value[blurred] += fraction[blurred] * (upper - value[blurred])
         return value
 
@@ -153,10 +166,10 @@ class Scene:
         x -= column
         y -= row
         first = self._offsets[surface, level] + row * width + column
-        texels = self._texels
-        top = texels[first] * (1 - x) + texels[first + 1] * x
+        texels, left = self._texels, 1 - x
+        top = texels.take(first) * left + texels.take(first + 1) * x
         first += width
-        bottom = texels[first] * (1 - x) + texels[first + 1] * x
+        bottom = texels.take(first) * left + texels.take(first + 1) * x
         return np.asarray(top + y * (bottom - top))
 
 
@@ -193,7 +206,8 @@ class Renderer:
         self._samples = int(supersampling)
         self._circle = circle_rad
         self._tiles = [tile for tile in self._cut() if np.isfinite(tile[1][0]).any()]
-        boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r, _ in self._tiles]
+        boxes = [[np.fmin.reduce(r, axis=1), np.fmax.reduce(r, axis=1)]
+                 for _, r, _ in self._tiles]
         self._low, self._high = np.moveaxis(np.array(boxes), 1, 0)
 
     def _cut(self) -> Iterator[tuple[_Slices, np.ndarray, np.ndarray]]:
@@ -372,7 +386,8 @@ class Renderer:
         best, a, b, w = _nearest(rays, inverse, motion)
         best[~(w > 0)] = len(surfaces)
         for index in np.flatnonzero(np.bincount(best, minlength=len(surfaces))[:len(surfaces)]):
-            hit = np.flatnonzero(best == index)
+            there = np.flatnonzero(best == index)
+            hit = slice(None) if len(there) == len(best) else there
             depth = w[hit]
             u, v = a[hit] / depth, b[hit] / depth
             # texels that one sample's spacing covers, along the longer side of its footprint
@@ -406,9 +421,15 @@ def _nearest(rays: np.ndarray, inverse: np.ndarray,
         a, b, w = (one - shift[:, k:k + 1] * share for k, one in enumerate((a, b, w)))
     inside = (a >= 0) & (b >= 0) & (a <= w) & (b <= w)
     w = np.where(inside, w, 0.0)
-    best = w.argmax(axis=0)
-    pick = best, np.arange(rays.shape[1])
-    return best, a[pick], b[pick], w[pick]
+    best = np.zeros(rays.shape[1], dtype=int)
+    a_best, b_best, w_best = a[0], b[0], w[0]
+    for k in range(1, len(inverse)):
+        nearer = np.flatnonzero(w[k] > w_best)
+        if len(nearer):
+            best[nearer] = k
+            for chosen, one in ((a_best, a), (b_best, b), (w_best, w)):
+                chosen[nearer] = one[k, nearer]
+    return best, a_best, b_best, w_best
 
 
 def quantise(intensity: np.ndarray, rng: np.random.Generator | None = None,

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,8 +114,8 @@ def _draw_shape(canvas: np.ndarray, rng: np.random.Generator, radius: float, mea
         outside = np.hypot(along, across) - radius
     else:
         turn = 2 * np.pi * (np.arange(corners) + 0.5) / corners
-        outside = -radius * np.cos(np.pi / corners) + np.max(
-            [np.cos(t) * along + np.sin(t) * across for t in turn], axis=0)
+        outside = -radius * np.cos(np.pi / corners) + reduce(
+            np.maximum, [np.cos(t) * along + np.sin(t) * across for t in turn])
     alpha = np.clip(0.5 - outside * stretch ** 0.5 / 1.5, 0, 1)
     patch = canvas[top:bottom, left:right]
     patch += alpha * (grey - patch)

@@ -21,6 +21,7 @@ from pathlib import Path
 import re
 
 import pytest
+from test_support.syntax_trees import trees_in
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Folders whose docstrings are read.
@@ -42,8 +43,7 @@ FILES = re.compile(r'\.(?:csv|jsonl?|py|yaml|md|html|mcap|db3|cao)$')
 
 @cache
 def _trees():
-    return {path: ast.parse(path.read_text(encoding='utf-8'), str(path))
-            for folder in READ for path in sorted((ROOT / folder).rglob('*.py'))}
+    return trees_in(*(ROOT / folder for folder in READ))
 
 
 def _names(tree):

@@ -29,6 +29,7 @@ import re
 import pytest
 from selfcal_ros.cli import main as command_line
 from selfcal_ros.nodes.interfaces import INTERFACES
+from test_support.syntax_trees import trees_in
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(
@@ -280,12 +281,10 @@ def test_what_is_said_to_be_in_a_file_is_there():
 
 def test_every_member_of_a_module_exists():
     homes = {}
-    for file in _files():
-        if file.endswith('.py') and file.startswith(('/selfcal_ros/', '/msg_adapters/')):
-            tree = ast.parse((ROOT / file[1:]).read_text('utf-8'))
-            defined = {getattr(node, 'name', None) for node in ast.walk(tree)} | {
-                node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-            homes.setdefault(Path(file).stem, set()).update(defined)
+    for path, tree in trees_in(ROOT / 'selfcal_ros', ROOT / 'msg_adapters').items():
+        homes.setdefault(path.stem, set()).update(
+            getattr(node, 'id' if isinstance(node, ast.Name) else 'name', None)
+            for node in ast.walk(tree))
     missing = []
     for document, name in _named(r'^(?:[a-z_]+\.)*([a-z_]+\.\w+)(?=\(|$)', 1):
         module, member = name.split('.')

@@ -89,6 +89,12 @@ class Graph:
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.02)
 
+    def meet(self, node):
+        """Wait until a node of this process sends to all that the probe listens to."""
+        heard = {one.topic_name for one in self.probe.subscriptions}
+        self.wait_for(lambda: all(one.get_subscription_count() for one in node.publishers
+                                  if one.topic_name in heard), what='subscriptions')
+
     def listen(self, message, topic, qos=100):
         """Subscribe, and return the list that the messages go to."""
         heard = []

@@ -34,14 +34,14 @@ class Images:
 
     def __init__(self, graph):
         self.graph = graph
-        graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
+        node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 60)
         self.announced = graph.probe.create_publisher(CameraInfo, 'tracks/announced', 60)
         graph.wait_for(lambda: self.tracks.get_subscription_count()
                        and self.announced.get_subscription_count()
                        and graph.probe.count_publishers('camera_info'))
-        graph.spin_for(0.2)
+        graph.meet(node)
         # the size of the images is known from their first tracks
         self.follow(1)
         self.is_heard(1)

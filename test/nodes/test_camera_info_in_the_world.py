@@ -79,7 +79,7 @@ class Drive:
         self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         graph.wait_for(lambda: self.driver.get_subscription_count() > 0
                        and self.tracks.get_subscription_count() > 0)
-        graph.spin_for(0.2)
+        graph.meet(self.node)
         if not window.is_full:
             self.tell(window, full)
         for frame in range(20):

@@ -50,7 +50,7 @@ class Drive:
         self.graph = graph
         self.sequence = sequence or drive(np.random.default_rng(11), noise_px=0.1, views=20,
                                           tracks=400)
-        graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
+        node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)
@@ -60,7 +60,7 @@ class Drive:
         self.markers = graph.listen(MarkerArray, 'planar_calibrator/markers', LATCHED)
         graph.wait_for(lambda: self.publisher.get_subscription_count() > 0)
         graph.wait_for(lambda: graph.probe.count_publishers('camera_info') > 0)
-        graph.spin_for(0.3)
+        graph.meet(node)
 
     def publish(self, frames, start_ns=START_NS):
         """Publish the tracks of frames; returns the headers."""

@@ -85,7 +85,7 @@ def test_it_is_found_in_one_place_before_a_wall_full_of_things(name):
     tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
     tracker.seek()
     frames = [tracker.track(np.clip(scene + np.random.default_rng(k).normal(size=scene.shape),
-                                    0, 255).astype(np.uint8)) for k in range(12)]
+                                    0, 255).astype(np.uint8)) for k in range(9)]
     assert [frame.state for frame in frames[-3:]] == [TrackerState.TRACKING] * 3
     true = made.model.vertices @ made.rotations[0].T + made.translations[0]
     for frame in filter(None, frames):

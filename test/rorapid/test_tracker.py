@@ -36,7 +36,7 @@ def rendered(views, **kwargs):
 
 
 #: The longest recordings of which others are the beginning.
-LONGEST = {(): 150, (('motion', 'planar'),): 70}
+LONGEST = {(): 120, (('motion', 'planar'),): 50, (('clutter', 0.5),): 45}
 
 
 def recording(views=40, **kwargs):
@@ -56,6 +56,11 @@ def follow(made, images, options=None, **kwargs):
     return [tracker.track(image, int(stamp)) for image, stamp in zip(images, made.stamps_ns)]
 
 
+@lru_cache(maxsize=None)
+def longest_followed(**kwargs):
+    return follow(*rendered(LONGEST[tuple(kwargs.items())], **kwargs))
+
+
 def errors(made, frames):
     """Rotation errors in degrees, translation errors as shares of the distance."""
     angle = np.degrees([np.linalg.norm(rotation_vector(f.rotation @ R.T))
@@ -69,8 +74,11 @@ def errors(made, frames):
     {}, {'shape': 'step_block'}, {'shape': 'spool'}, {'clutter': 0.5}, {'speed': 4.0},
     {'distortion': (-0.25, 0.08, 1e-3, -1e-3)}), ids=str)
 def test_poses_are_those_of_the_truth(kwargs):
-    made, images = recording(**kwargs)
-    frames = follow(made, images)
+    if tuple(kwargs.items()) in LONGEST:
+        made, frames = recording(**kwargs)[0], longest_followed(**kwargs)[:40]
+    else:
+        made, images = recording(24, **kwargs)
+        frames = follow(made, images)
     angle, offset = errors(made, frames)
     assert all(f.state is TrackerState.TRACKING and not f.reason for f in frames)
     sure = np.array([np.degrees(np.sqrt(np.trace(f.covariance[3:, 3:]))) for f in frames]) < 0.1
@@ -87,9 +95,9 @@ RATIONAL = Camera([[300, 0, 325], [0, 300, 236], [0, 0, 1]],
 
 @pytest.mark.parametrize('camera', (wide_camera(150.0), RATIONAL), ids=lambda c: c.model)
 def test_poses_through_wide_lenses_are_those_of_the_truth_within_their_sigmas(camera):
-    made = tracked_object(24, supersampling=2, camera=camera, seed=11)
+    made = tracked_object(18, supersampling=2, camera=camera, seed=11)
     renderer = made.renderer()
-    images = [made.frame(k, renderer) for k in range(24)]
+    images = [made.frame(k, renderer) for k in range(18)]
     frames = follow(made, images)
     angle, offset = errors(made, frames)
     assert all(f.state is TrackerState.TRACKING and not f.reason for f in frames)
@@ -105,7 +113,7 @@ def test_poses_through_wide_lenses_are_those_of_the_truth_within_their_sigmas(ca
 def test_restricted_motion_is_at_least_as_accurate_and_more_certain(motion):
     made, images = recording(motion=motion)
     axis = tuple(made.rotations[0][:, 2])
-    general = follow(made, images)
+    general = longest_followed(motion=motion)[:40] if motion == 'planar' else follow(made, images)
     limited = follow(made, images, TrackerOptions(motion=motion, plane_axis=axis))
     rms = [np.sqrt(np.mean(np.square(errors(made, frames)), axis=1))
            for frames in (limited, general)]
@@ -118,9 +126,9 @@ def test_restricted_motion_is_at_least_as_accurate_and_more_certain(motion):
 
 
 def test_the_plane_of_motion_is_learned():
-    made, images = recording(70, motion='planar')
+    made, images = recording(50, motion='planar')
     frames = follow(made, images, TrackerOptions(motion='planar'))
-    general = follow(made, images)
+    general = longest_followed(motion='planar')
     assert errors(made, frames)[0].max() < 0.3
     assert np.trace(frames[-1].covariance[3:, 3:]) < np.trace(general[-1].covariance[3:, 3:])
 
@@ -148,8 +156,8 @@ def test_zoom_says_when_the_focal_length_cannot_be_told():
 
 
 def test_covariance_is_consistent():
-    made, images = recording(150)
-    frames = follow(made, images)[5:]
+    made, _ = recording()
+    frames = longest_followed()[5:]
     error = np.array([np.r_[f.translation - t, rotation_vector(f.rotation @ R.T)] for f, t, R in
                       zip(frames, made.translations[5:], made.rotations[5:])])
     square = np.array([e @ np.linalg.solve(f.covariance, e) for e, f in zip(error, frames)])
@@ -158,18 +166,22 @@ def test_covariance_is_consistent():
         assert abs(np.mean(square < chi2.ppf(share, 6)) - share) < 0.15
 
 
+@lru_cache(maxsize=None)
+def turns_from(seed, angle):
+    """Turn of each pose from the truth after a start that is so far off."""
+    made, images = recording(20, clutter=0.5)
+    tracker = RorapidTracker(made.model, made.camera)
+    tracker.start(*perturbed(made.rotations[0], made.translations[0],
+                             np.random.default_rng(seed), angle, 0.0))
+    frames = [tracker.track(image) for image in images]
+    return [rotation_vector(f.rotation @ R.T) for f, R in zip(frames, made.rotations)]
+
+
 @pytest.mark.parametrize('seed', range(4))
 def test_an_error_of_the_start_is_forgotten(seed):
     """The texture is learned where the edges put the object, not where the start put it."""
-    made, images = recording(20, clutter=0.5)
-    turns = []
-    for angle in (0.0, np.deg2rad(3)):
-        tracker = RorapidTracker(made.model, made.camera)
-        tracker.start(*perturbed(made.rotations[0], made.translations[0],
-                                 np.random.default_rng(seed), angle, 0.0))
-        frames = [tracker.track(image) for image in images]
-        turns.append([rotation_vector(f.rotation @ R.T) for f, R in zip(frames, made.rotations)])
-    right, wrong = np.degrees(turns)[:, 5:]
+    # a start without an error is the same whatever the seed
+    right, wrong = np.degrees([turns_from(0, 0.0), turns_from(seed, np.deg2rad(3))])[:, 5:]
     assert np.linalg.norm(wrong, axis=1).max() < 0.3
     assert np.linalg.norm(wrong - right, axis=1).max() < 0.1
 
