@@ -31,7 +31,7 @@ from selfcal_ros.synthetic.special_scenes import drive
 @pytest.fixture(scope='module')
 def measured():
     """A drive that stands for the rendered one."""
-    sequence = drive(np.random.default_rng(3), 0.1, 24, 900)
+    sequence = drive(np.random.default_rng(3), 0.1, 24, 450)
     seen = np.zeros((24, len(sequence.points)), bool)
     seen[sequence.tracks.frame, sequence.tracks.track] = True
     calibration = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0,
