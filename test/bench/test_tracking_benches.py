@@ -82,7 +82,7 @@ def test_a_missed_bar_is_told(capsys, monkeypatch):
     # one sequence tells as much of the report as all do
     monkeypatch.setattr(tracking_poses, 'SEEDS', tracking_poses.SEEDS[:1])
     report = Report()
-    coverage(report, 24)
+    coverage(report, 12)
     assert 'largest difference from the nominal share' in capsys.readouterr().out
 
 
