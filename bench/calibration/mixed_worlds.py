@@ -36,8 +36,9 @@ import numpy as np
 MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, 'arc': 0.1}
 #: Worlds that were found wrong once, and take too long for the tests: for a plane that left 1.6
 #: times what pairs do; for what pairs of a fisheye show, which was no parallax; for a lever of
-#: 6 cm that was taken for a long one; with an error about a fisheye that sees but its axis.
-ONCE_WRONG = (135, 32113, 67, 31043)
+#: 6 cm that was taken for a long one; with an error about a fisheye that sees but its axis; for
+#: the worse of two optima of six views.
+ONCE_WRONG = (135, 32113, 67, 31043, 30057)
 #: What happens to the tracks afterwards; a quarter of the worlds has one of them.
 SPOILT = {'stabilised': further_worlds.stabilised(0.4), 'half pixels': further_worlds.rounded(0.5),
           'levels of a pyramid': further_worlds.of_levels,
@@ -188,7 +189,8 @@ def run(report: Report, options) -> None:
     if load_worlds() is None:
         report.say('left out: ../shared/world_cases.py is not there')
         return
-    seeds = (*ONCE_WRONG, *range(30001, 30001 + (options.runs or 300)))
+    # each once, also those that were wrong in a run like this one
+    seeds = tuple(dict.fromkeys((*ONCE_WRONG, *range(30001, 30001 + (options.runs or 300)))))
     report.section(f'{len(seeds)} worlds drawn at random',
                    f'silent: K beyond {MAX_SIGMAS:g} sigmas, and nothing said that is about K. '
                    'Zooms have no single truth, and do not count.')

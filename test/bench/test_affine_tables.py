@@ -31,7 +31,7 @@ def test_structure_measures_are_zero_and_right_angles_on_the_true_grid():
 @pytest.mark.parametrize('name', affine_tables.ROWS)
 def test_every_row_is_nearer_the_truth_than_the_thesis(name):
     truth = row_of(grid_camera().K)
-    runs = [one_run(seed, name) for seed in range(3)]
+    runs = [one_run(seed, name) for seed in range(2)]
     for method in METHODS[1:]:
         values = np.array([rows[method][0] for rows, _, _ in runs])
         theirs = np.hypot(affine_tables.ROWS[name][3][0] - affine_tables.VERIDICAL[0],
@@ -43,7 +43,6 @@ def test_every_row_is_nearer_the_truth_than_the_thesis(name):
 @pytest.mark.parametrize('name', affine_tables.DEGENERATE)
 def test_degenerate_rotations_never_give_a_number(name):
     expected = affine_tables.DEGENERATE[name][2]
-    for seed in range(3):
-        chain, whole = degenerate_run(seed, name)
-        assert chain is not None and expected <= chain
-        assert whole is not None
+    chain, whole = degenerate_run(0, name)
+    assert chain is not None and expected <= chain
+    assert whole is not None

@@ -30,9 +30,9 @@ from selfcal_ros.synthetic.special_scenes import drive
 
 @pytest.fixture(scope='module')
 def measured():
-    """A drive that stands for the rendered one."""
-    sequence = drive(np.random.default_rng(3), 0.1, 24, 900)
-    seen = np.zeros((24, len(sequence.points)), bool)
+    """A drive that stands for the rendered one; 48 steps there and back are six windows."""
+    sequence = drive(np.random.default_rng(3), 0.1, 25, 450)
+    seen = np.zeros((25, len(sequence.points)), bool)
     seen[sequence.tracks.frame, sequence.tracks.track] = True
     calibration = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0,
                                                                distortion='none'))
@@ -42,10 +42,10 @@ def measured():
 
 
 def test_drives_go_there_and_back_with_new_points_and_drifting_errors(measured):
-    there = list(islice(keyframes(measured, np.random.default_rng(0)), 47))
+    there = list(islice(keyframes(measured, np.random.default_rng(0)), 49))
     tracks = window_of(there, (640, 480))
-    assert tracks.frames.tolist() == list(range(47))
-    first, last = there[0], there[46]
+    assert tracks.frames.tolist() == list(range(49))
+    first, last = there[0], there[48]
     # the same place, other tracks, the same points to within the errors
     assert len(first[1]) == len(last[1]) > 20 * len(np.intersect1d(first[1], last[1]))
     order = np.lexsort(np.round(first[2][:, ::-1] / 20).T)

@@ -75,7 +75,7 @@ def test_stated_covariance_is_that_of_the_estimates():
 @pytest.mark.parametrize('noise_px', [0, CORNER_NOISE_PX])
 @pytest.mark.parametrize('facts', [CameraFacts(), ZERO_SKEW])
 def test_one_camera_axis_leaves_open_what_theory_says(axis, missing, noise_px, facts):
-    for seed in range(5):
+    for seed in range(2):
         found = calibrate_affine(_sequence(seed, 4, axis, noise_px).tracks, (0, 1), SIZE, facts)
         assert isinstance(found, NoEstimate) and not hasattr(found, 'K')
         open_ones = {k for k, state in found.values['status'].items() if state == 'unobservable'}

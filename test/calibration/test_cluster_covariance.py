@@ -34,7 +34,7 @@ def test_independent_noise_is_not_widened():
 def test_drift_within_tracks_is_seen_and_covered():
     """Errors that grow along a track: the sigma widens, and holds the truth."""
     deviations, found = [], 0
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         sequence = sequence_si(rng, 0.1, views=8)
         tracks = sequence.tracks
@@ -44,7 +44,7 @@ def test_drift_within_tracks_is_seen_and_covered():
         found += any('within a track' in note for note in result.notes)
         deviations.append((result.camera.K[0, 0] - 900) / result.sigma['fx'])
 
-    assert found >= 10
+    assert found >= 5
     assert np.sqrt(np.mean(np.square(deviations))) < 1.6
 
 

@@ -21,8 +21,7 @@ from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.synthetic.hard_scenes import (CAMERA, HARD_SCENES, NOISE_PX, one_curve, s_curve,
                                                scene, VIEWS)
 from selfcal_ros.synthetic.scenes import pitched_mount, planar_poses
-
-SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
+from test_support.hard_worlds import calibrated, SQUARE
 
 
 def advised(result):
@@ -31,14 +30,13 @@ def advised(result):
 
 
 def test_a_near_circle_is_told_to_drive_an_s():
-    sequence = HARD_SCENES['on the spot, 0.1 m off the axis'](np.random.default_rng([0, 5]))
+    _, result = calibrated('on the spot, 0.1 m off the axis', 0)
 
-    assert 'drive an S' in advised(calibrate(sequence.tracks, facts=SQUARE))
+    assert 'drive an S' in advised(result)
 
 
 def test_no_rotation_is_told_to_turn():
-    sequence = HARD_SCENES['forward only'](np.random.default_rng([0, 5]))
-    result = calibrate(sequence.tracks, facts=SQUARE)
+    _, result = calibrated('forward only', 0)
 
     assert not result
     assert 'drive an S' in advised(result)
@@ -54,9 +52,9 @@ def test_a_roll_about_the_optical_axis_is_told_another_axis():
 
 
 def test_a_good_drive_gets_no_advice():
-    sequence = HARD_SCENES['floor and wall'](np.random.default_rng([0, 5]))
+    _, result = calibrated('floor and wall', 0)
 
-    assert not advised(calibrate(sequence.tracks, facts=SQUARE))
+    assert not advised(result)
 
 
 def test_what_is_promised_comes_true():

@@ -25,7 +25,7 @@ from selfcal_ros.geometry import fundamental, planar_batch, planar_pairs, projec
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes
 
-RUNS = 60
+RUNS = 40
 
 
 @pytest.fixture

@@ -154,7 +154,7 @@ def test_facing_the_axis_of_a_circle_needs_the_principal_point(rng):
 
 
 def test_stated_spread_of_horizon_and_vanishing_point_is_the_observed_one(rng):
-    runs, noise_px = 150, 0.1
+    runs, noise_px = 75, 0.1
     distance = np.zeros((runs, 2))
     for k in range(runs):
         sequence = scenes.sequence_si(rng, noise_px)

@@ -16,17 +16,13 @@
 import numpy as np
 import pytest
 
-from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
-from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
-
-SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
+from test_support.hard_worlds import calibrated
 
 
 def outcome(name, seed):
     """Return the result and its largest deviation from the truth in stated sigmas."""
-    sequence = HARD_SCENES[name](np.random.default_rng([seed, 5]))
-    result = calibrate(sequence.tracks, facts=SQUARE)
+    sequence, result = calibrated(name, seed)
     if not result:
         return result, 0.0
     away = (result.camera.parameters - sequence.camera.parameters) / np.maximum(

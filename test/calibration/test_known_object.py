@@ -115,16 +115,16 @@ def test_covariance_is_that_of_many_runs(target, poses):
     camera = Camera(CAMERA.K, [-0.2, 0, 0, 0], *SIZE)
     chosen = [0, 1, 2, 3, 5]
     distances = []
-    for seed in range(60):
+    for seed in range(30):
         result = calibrate_known_object(
             seen(target, poses, camera, 0.3, np.random.default_rng(seed)), target, facts=facts)
         error = (result.camera.parameters - camera.parameters)[chosen]
         distances.append(error @ np.linalg.solve(result.covariance[np.ix_(chosen, chosen)],
                                                  error))
 
-    # chi-square of 5 degrees of freedom, mean over 60 runs: 5 ± 0.41; now and then a chance
+    # chi-square of 5 degrees of freedom, mean over 30 runs: 5 ± 0.58; now and then a chance
     # pattern of the residuals counts as shared errors, which lowers it
-    assert 5 - 5 * 0.41 < np.mean(distances) < 5 + 4 * 0.41
+    assert 5 - 3.5 * 0.58 < np.mean(distances) < 5 + 2.8 * 0.58
 
 
 def test_gross_errors_are_left_out():

@@ -94,7 +94,7 @@ def watched(scene, seed, camera_at=lambda view: TRUTH, monitor=None, **span):
 def test_scores_of_the_true_camera_scatter_as_they_say(scene):
     free = ChangeMonitor(calibration()).free
     scores = [window_score(tracks, TRUTH, free, np.random.default_rng(0))
-              for seed in (1, 2) for tracks in windows(scene, seed)]
+              for tracks in windows(scene, 1)]
     squares = [score.step @ score.information @ score.step for score in scores]
     freedom = 3 * len(scores)
     assert chi2.ppf(1e-4, freedom) < np.sum(squares) < chi2.isf(1e-4, freedom)
@@ -161,11 +161,11 @@ def _gaussian_scores(rng, count, sigmas=(2.0, 1.4, 1.8), at=(520.0, 320.0, 240.0
 
 
 def test_false_alarms_stay_below_the_stated_rate():
-    # 20 drives of 1600 keyframes at one stated false alarm in 4000 keyframes: 8 allowed
+    # 10 drives of 1600 keyframes at one stated false alarm in 4000 keyframes: 4 allowed
     settings = MonitorSettings(false_alarm_keyframes=4000, tolerance_px=0.01)
     rng = np.random.default_rng(9)
     alarms = 0
-    for _ in range(20):
+    for _ in range(10):
         monitor = ChangeMonitor(calibration(moved(cx=0.7 * rng.standard_normal()),
                                             (1e-3, 0.7, 1e-3)), settings)
         at = monitor.in_force
@@ -174,7 +174,7 @@ def test_false_alarms_stay_below_the_stated_rate():
             alarms += monitor.change is not None
             if monitor.change:
                 break
-    assert alarms <= 8
+    assert alarms <= 4
 
 
 def test_the_threshold_follows_the_stated_rate():

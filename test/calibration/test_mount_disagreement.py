@@ -44,7 +44,7 @@ def robot(kind, seed):
 
 
 @pytest.mark.parametrize('kind', ['hand', 'drive'])
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_inverse_poses_are_told_and_right_ones_are_not_suspected(kind, seed):
     calibration, poses = robot(kind, seed)
     refused = mount_camera(calibration, inverse(poses)).mount
@@ -55,7 +55,7 @@ def test_inverse_poses_are_told_and_right_ones_are_not_suspected(kind, seed):
 def test_a_body_that_only_turns_is_told_so():
     # the fixed point of a seed whose noise asks for a scale below zero
     kinds = set()
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         turns = 0.3 * np.sin(np.outer(np.linspace(0, 1, VIEWS), rng.uniform(4, 9, 3))
                              + rng.uniform(0, 6, 3))

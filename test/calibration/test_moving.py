@@ -197,8 +197,7 @@ def test_few_tracks_that_move_are_told_where_they_are_seen_all_the_time():
     assert not moving_findings(labels, np.full(len(label), 6))
 
 
-@pytest.mark.parametrize('seed', [0, 1])
-@pytest.mark.parametrize('noise_px', [0.0, 0.05])
+@pytest.mark.parametrize('seed, noise_px', [(0, 0.0), (1, 0.05)])
 def test_gross_errors_that_repeated_frames_share_are_no_jumps(seed, noise_px):
     rng = np.random.default_rng(seed)
     tracks = world(rng)

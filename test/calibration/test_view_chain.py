@@ -242,7 +242,7 @@ def test_a_direction_without_information_comes_out_very_large(monkeypatch):
 def test_a_drive_is_calibrated_the_same(monkeypatch):
     """Level by level or at once: the same camera and the same sigmas."""
     facts = CameraFacts(aspect_ratio=1.0, skew=0.0)
-    scene = drive(np.random.default_rng(4), 0.1, 80, 1500, 6)
+    scene = drive(np.random.default_rng(4), 0.1, 80, 1000, 6)
     _, view = np.unique(scene.tracks.frame, return_inverse=True)
     assert chain_of_views(scene.tracks.track, view, 80) is not None
     chained = calibrate(scene.tracks, facts=facts)

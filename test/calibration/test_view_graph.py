@@ -46,11 +46,11 @@ def test_what_is_spread_evenly_has_no_sigma(rng):
 @pytest.mark.parametrize('views', [3, 6])
 def test_the_limit_does_not_cut_into_the_noise(rng, noise_px, views):
     rejected, noise = [], []
-    for _ in range(5):
+    for _ in range(3):
         graph = build_view_graph(scenes.sequence_si(rng, noise_px, views).tracks, rng)
         rejected.append(graph.rejected)
         noise.append(graph.noise_px)
-    assert sum(rejected) <= 2
+    assert sum(rejected) <= 1
     assert np.mean(noise) == pytest.approx(noise_px, rel=0.15)
 
 

@@ -251,7 +251,7 @@ def test_a_true_zoom_is_kept_among_gross_errors():
 
 def test_a_true_zoom_among_many_gross_errors_is_refused():
     rng = np.random.default_rng([0, 16])
-    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=80), np.linspace(0.95, 1.1, VIEWS), rng)
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=50), np.linspace(0.95, 1.1, VIEWS), rng)
     many = calibrate(with_outliers(sequence, rng, 0.3).tracks, motion='planar', facts=FACTS)
     assert not many and many.kind == 'too_many_outliers'
 

@@ -94,6 +94,11 @@ class Observations:
     neighbours: np.ndarray | None = None
     camera: np.ndarray | None = None
 
+    @cached_property
+    def remembered(self) -> dict[Any, Any]:
+        """What was found of these observations, for who asks again; by what was asked."""
+        return {}
+
     @classmethod
     def of(cls, tracks: Tracks, frames: np.ndarray) -> Observations:
         """Index the observations of tracks that are seen twice; frames (V,) are the views."""

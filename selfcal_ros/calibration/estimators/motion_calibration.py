@@ -29,7 +29,7 @@ from selfcal_ros.calibration.estimators.coherent_start import straight_and_bent
 from selfcal_ros.calibration.estimators.facts_in_the_way import fact_in_the_way, without_facts
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
-from selfcal_ros.calibration.estimators.one_motion import (first_focal_px, is_less_open, left_by,
+from selfcal_ros.calibration.estimators.one_motion import (is_less_open, left_by,
                                                            LITTLE_TURN_RAD, OneMotion,
                                                            UNEXPLAINED, with_any_focal)
 from selfcal_ros.calibration.estimators.other_starts import likeliest_start
@@ -156,8 +156,8 @@ def _try_simplest_motion(so_far: MotionsTried) -> MotionsTried:
 def _begin_elsewhere(so_far: MotionsTried) -> MotionsTried:
     """Begin from other focal lengths, too, where the one that was found is loose."""
     assert isinstance(so_far.found, Calibration)
-    return replace(so_far, found=likeliest_start(
-        so_far.found, so_far.by(so_far.motion), so_far.graph, with_any_focal, first_focal_px))
+    found = likeliest_start(so_far.found, so_far.by(so_far.motion), so_far.graph)
+    return replace(so_far, found=found)
 
 
 def _try_free_motion_anew(so_far: MotionsTried) -> MotionsTried:

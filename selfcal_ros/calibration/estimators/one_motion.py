@@ -76,18 +76,7 @@ BESIDE_BENT = (1.0, 0.9, 1.1)
 def with_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
                    near: RobustFit | None = None) -> Calibration | NoEstimate:
     """Calibrate with a focal length that is constant if that is possible, else with any."""
-    if problem.facts.focal == 'varying' and problem.instants:
-        return OneMotion(zooming(problem), graph, proposals, None).result()
-    result = OneMotion(problem, graph, proposals, near).result()
-    if may_zoom(problem) and not result and result.kind in UNEXPLAINED:
-        zoomed = OneMotion(zooming(problem), graph, proposals, None).result()
-        result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
-    return result
-
-
-def first_focal_px(problem: SelfCalibrationProblem, graph: ViewGraph, start: Camera) -> float:
-    """Return the focal length of the first fit from a start; NaN where there is none."""
-    return OneMotion(problem, graph, [start], None).first_focal_px()
+    return OneMotion(problem, graph, proposals, near).with_any_focal()
 
 
 @dataclass(frozen=True)
@@ -123,15 +112,25 @@ class OneMotion:
         observations = self.window.observations
         return observations.select(observations.longest(MODEL_TRACKS_PER_VIEW))[0]
 
+    def with_any_focal(self) -> Calibration | NoEstimate:
+        """Calibrate with a focal length that is constant if that is possible, else with any."""
+        if self.problem.facts.focal == 'varying' and self.problem.instants:
+            return self._zooming().result()
+        result = self.result()
+        if may_zoom(self.problem) and not result and result.kind in UNEXPLAINED:
+            zoomed = self._zooming().result()
+            result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
+        return result
+
+    def _zooming(self) -> OneMotion:
+        """Return the same search with a focal length that varies."""
+        return OneMotion(zooming(self.problem), self.graph, self.proposals, None)
+
     def result(self) -> Calibration | NoEstimate:
         """Return the calibration, or why there is none."""
-        start = self._start()
-        if isinstance(start, NoEstimate):
-            return start
-        state, left = start
-        first = self._first_fit(state)
-        if isinstance(first, NoEstimate):
-            return first
+        if isinstance(self._first, NoEstimate):
+            return self._first
+        first, left = self._first
         shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
         if self.window.views == self.problem.views:
             # before what moves is taken for a zoom; rows read in turn move tracks, too
@@ -143,9 +142,17 @@ class OneMotion:
 
     def first_focal_px(self) -> float:
         """Return the focal length of the first fit, pixels; NaN where there is none."""
+        first = self._first
+        return np.nan if isinstance(first, NoEstimate) else float(first[0].state.lens['f'])
+
+    @cached_property
+    def _first(self) -> tuple[RobustFit, NoEstimate | None] | NoEstimate:
+        """The first fit, and what its start leaves unexplained."""
         start = self._start()
-        first = start if isinstance(start, NoEstimate) else self._first_fit(start[0])
-        return np.nan if isinstance(first, NoEstimate) else float(first.state.lens['f'])
+        if isinstance(start, NoEstimate):
+            return start
+        fit = self._first_fit(start[0])
+        return fit if isinstance(fit, NoEstimate) else (fit, start[1])
 
     def _start(self) -> tuple[SceneState, NoEstimate | None] | NoEstimate:
         """Return a start, and what it leaves unexplained if that may be rows read in turn."""

@@ -20,17 +20,14 @@ poorly determined, several optima do, some sigmas apart; so other starts are fol
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS
-from selfcal_ros.calibration.estimators.parted_tracks import CalibratePath
+from selfcal_ros.calibration.estimators.one_motion import OneMotion
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.camera import Camera
 
 #: A focal length with a larger sigma than this share of it is loose.
 LOOSE_FOCAL = 0.02
@@ -42,12 +39,8 @@ SAME = 0.05
 BETTER_BY = 1.0
 
 
-#: (problem, graph, start) -> focal length of the first fit, pixels; NaN where there is none.
-FirstFocal = Callable[[SelfCalibrationProblem, ViewGraph, Camera], float]
-
-
 def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph: ViewGraph,
-                    calibrate_path: CalibratePath, first_focal_px: FirstFocal) -> Calibration:
+                    ) -> Calibration:
     """
     Begin elsewhere, too, where a focal length is loose; return what explains the images best.
 
@@ -57,9 +50,6 @@ def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph:
     problem : SelfCalibrationProblem
         With the motion of the result.
     graph : ViewGraph
-    calibrate_path : callable
-        (problem, graph, proposals, fit to start from) -> Calibration or NoEstimate.
-    first_focal_px : callable
 
     Returns
     -------
@@ -74,11 +64,12 @@ def likeliest_start(result: Calibration, problem: SelfCalibrationProblem, graph:
     for factor in FACTORS:
         start = supposed_camera(factor * float(result.camera.K[0, 0]), problem.size,
                                 problem.facts, problem.bend)
-        focal_px = first_focal_px(problem, graph, start)
+        anew = OneMotion(problem, graph, [start], None)
+        focal_px = anew.first_focal_px()
         if any(abs(focal_px - one) < same_px for one in reached):
             continue
         reached.append(focal_px)
-        other = calibrate_path(problem, graph, [start], None)
+        other = anew.with_any_focal()
         if other:
             found.append(other)
     noise_px = min(one.noise_sigma_px for one in found)

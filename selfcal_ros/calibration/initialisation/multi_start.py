@@ -144,9 +144,7 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         if not problem.motion.keeps_plane and problem.flat is None \
                 and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \
                 and not is_strong(problem.bend):
-            few = problem.observations
-            yield from propose_camera(Tracks(few.view, few.point, few.xy, problem.size),
-                                      problem.size, problem.facts)
+            yield from _by_modulus(problem)
 
     best, best_noise, doubted = None, np.inf, False
     for state, noise in starts(problem, proposals()):
@@ -163,6 +161,16 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
                 return NoEstimate('not_planar', tilt_deg=float(np.degrees(off_plane)),
                                   motion='general')
     return best, best_noise
+
+
+def _by_modulus(problem: SelfCalibrationProblem) -> list[Camera]:
+    """Propose cameras by the modulus constraint, once for all searches on these observations."""
+    few, question = problem.observations, (propose_camera, problem.size, problem.facts)
+    if question not in few.remembered:
+        few.remembered[question] = propose_camera(
+            Tracks(few.view, few.point, few.xy, problem.size), problem.size, problem.facts)
+    found: list[Camera] = few.remembered[question]
+    return found
 
 
 def _off_plane_rad(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
