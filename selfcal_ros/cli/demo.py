@@ -72,24 +72,23 @@ def _rate(value: str) -> float:
     return rate
 
 
-def without_nodes(args: argparse.Namespace, instead: str) -> bool:
-    """Tell whether the demo runs without nodes; where nobody asked for that, say why."""
-    if args.no_ros:
-        return True
-    if find_spec('rclpy') is not None and find_spec('sensor_msgs') is not None:
-        return False
-    print(f'There is no ROS in this Python (rclpy is missing), so no nodes: {instead}.')
-    return True
+def without_nodes(args: argparse.Namespace, bag: Path, instead: str) -> bool:
+    """
+    Tell whether the demo runs without nodes; where nobody asked for that, say why.
 
-
-def check_recording(bag: Path, no_nodes: bool) -> None:
-    """Open a recording before anything is made or started; nodes replay bags only."""
+    The recording is opened before anything is said, made or started; nodes replay bags only.
+    """
     from selfcal_ros.pipeline.replay import ImageRecording
     from selfcal_ros.pipeline.sources import open_source
     with open_source(bag):
         pass
-    if not no_nodes:
+    if args.no_ros:
+        return True
+    if find_spec('rclpy') is not None and find_spec('sensor_msgs') is not None:
         ImageRecording(bag).close()
+        return False
+    print(f'There is no ROS in this Python (rclpy is missing), so no nodes: {instead}.')
+    return True
 
 
 @contextmanager
@@ -134,8 +133,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.shared_files import shared_file
     recording, calibrator = RECORDINGS[args.recording]
     bag = args.bag or shared_file(recording)
-    no_nodes = without_nodes(args, 'calibrating straight from the bag')
-    check_recording(bag, no_nodes)
+    no_nodes = without_nodes(args, bag, 'calibrating straight from the bag')
     with output_folder(args.output_dir):
         return _calibrate(args, bag, None if no_nodes else calibrator)
 

@@ -41,7 +41,7 @@ NODE_POSES = 'node_poses.json'
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
-    from selfcal_ros.cli.demo import check_recording, without_nodes
+    from selfcal_ros.cli.demo import without_nodes
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.tracking_loop import Target
     from selfcal_ros.pipeline.tracking_run import read_start
@@ -50,8 +50,7 @@ def run(args: argparse.Namespace) -> int:
     bag = args.bag or shared_file(RECORDING)
     model, camera_file, start_file = (bag.with_name(bag.name + suffix) for suffix in (
         '.model.yaml', '.camera.yaml', '.pos'))
-    no_nodes = without_nodes(args, 'tracking straight in the bag')
-    check_recording(bag, no_nodes)
+    no_nodes = without_nodes(args, bag, 'tracking straight in the bag')
     for path in (model, camera_file, start_file):
         if not path.is_file():
             raise InputError(f'{path} is not there; the recording of an object needs its '
