@@ -28,7 +28,7 @@ BAG = Path(__file__).resolve().parents[2] / 'bags' / 'arm_move'
 
 @pytest.mark.ros
 def test_the_recorded_moves_through_three_processes_give_the_true_camera(tmp_path):
-    result, infos = replay(BAG, tmp_path, rate=5.0, calibrator='affine_calibrator')
+    result, infos = replay(BAG, tmp_path, rate=2.0, calibrator='affine_calibrator')
     assert result['status'] == 'calibrated', result['reason']
     assert result['motion'] == 'general'
     truth = read_truth(BAG)

@@ -124,7 +124,13 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, sou
            'mount_facts:=time_offset=0 z=0.6:0.01')
     graph.wait_for(lambda: odom.get_subscription_count() and tracks.get_subscription_count())
     graph.wait_for(lambda: graph.probe.count_publishers('camera_info'))
-    graph.spin_for(0.3)
+
+    def poses_arrive():
+        odom.send(np.eye(4), START_NS, x=float('nan'))
+        told = diagnostics[-1].status[0].values if diagnostics else ()
+        return any(one.key == 'robot poses dropped' and int(one.value) for one in told)
+
+    graph.wait_for(poses_arrive, what='a pose')
     for view in range(VIEWS):
         stamp = START_NS + view * STEP_NS
         odom.send(np.eye(4), START_NS, x=float('nan'))

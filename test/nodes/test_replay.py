@@ -28,7 +28,7 @@ BAG = Path(__file__).resolve().parents[2] / 'bags' / 'agv_drive'
 
 @pytest.mark.ros
 def test_nodes_and_command_line_agree_within_the_stated_sigma(tmp_path):
-    result, infos = replay(BAG, tmp_path, rate=1.5)
+    result, infos = replay(BAG, tmp_path)
     assert result['status'] == 'calibrated', result['reason']
     reading = read_tracks(BAG)
     straight = calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
