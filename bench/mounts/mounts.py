@@ -131,7 +131,7 @@ def _recorded(report: Report, work: Path) -> None:
         found = images(name, image_files(pictures))
         R, p = _poses(folder / 'poses.csv')
         truth = json.loads((folder / 'truth.json').read_text(encoding='utf-8'))
-        lens = _published(truth, truth['image_size'] if 'image_size' in truth else (960, 540))
+        lens = _published(truth, truth['image_size'])
         poses = BodyPoses(R, p, frames=np.arange(len(p)))
         after = mount_camera(found, poses)
         rows.append(_row(name, found, after, np.array(truth[key]), lens))

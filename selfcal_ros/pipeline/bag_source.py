@@ -82,6 +82,11 @@ def is_bag_folder(path: Path) -> bool:
         return b'rosbag2_bagfile_information' in stream.read(100_000)
 
 
+def is_bag(path: Path) -> bool:
+    """Tell whether something is named like a file of a bag, or is a folder that holds one."""
+    return path.suffix in BAG_SUFFIXES or path.is_dir() and is_bag_folder(path)
+
+
 class BagSource(FrameSource):
     """
     Images of one topic of a bag.

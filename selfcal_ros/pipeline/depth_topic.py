@@ -25,7 +25,7 @@ from msg_adapters.stamps import stamp_ns
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, is_bag_folder, open_bag
+from selfcal_ros.pipeline.bag_source import is_bag, open_bag
 from selfcal_ros.pipeline.depth_pairing import SAME_NS
 
 #: Depth images are kept for so long, nanoseconds: the two topics are recorded in any order.
@@ -88,7 +88,7 @@ def open_depths(path: str | Path, topic: str) -> Iterator[DepthTopic]:
         If the input is no bag, or has no such topic of images.
 
     """
-    if not (is_bag_folder(Path(path)) or Path(path).suffix in BAG_SUFFIXES):
+    if not is_bag(Path(path)):
         raise InputError(f'{path} is no bag, so it has no topic {topic:.80} of depths; leave '
                          '--depth-topic out, or give a bag.')
     with open_bag(path) as bag:

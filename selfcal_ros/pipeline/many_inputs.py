@@ -34,7 +34,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.findings.finding import Finding, sentences
-from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
+from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.engines import CRASHED, EngineOptions, run_jobs
 from selfcal_ros.pipeline.file_sources import IMAGE_SUFFIXES, natural_key, VIDEO_SUFFIXES
@@ -224,8 +224,7 @@ def calibrate_job(job: Job) -> list[Outcome]:
     path, settings = Path(job.path), job.settings
     topics: list[str | None] = [settings.topic]
     try:
-        if settings.topic is None and (path.suffix in BAG_SUFFIXES
-                                       or path.is_dir() and is_bag_folder(path)):
+        if settings.topic is None and is_bag(path):
             topics = list(image_topics(path)) or [None]
     except (SelfcalError, OSError, ValueError) as error:
         return [Outcome(job.path, error=_sentence(job.path, error))]

@@ -30,7 +30,7 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import RigCalibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
+from selfcal_ros.pipeline.bag_source import image_topics, is_bag
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
                                                   whole_table)
@@ -131,20 +131,17 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
 
 def _in_folder(path: str, words: list[str]) -> list[RigInput]:
     """Find a folder of images for each camera; none unless all are there."""
-    found = []
-    for word in words:
-        name, _, folder = word.partition('=')
-        place = Path(path) / (folder or name)
-        if is_bag_folder(Path(path)) or '/' in word or not place.is_dir():
-            return []
-        found.append(RigInput(name, str(place)))
-    return found
+    if is_bag(Path(path)) or any('/' in word for word in words):
+        return []
+    places = [(name, Path(path) / (folder or name))
+              for name, _, folder in (word.partition('=') for word in words)]
+    return ([RigInput(name, str(place)) for name, place in places]
+            if all(place.is_dir() for _, place in places) else [])
 
 
 def _of_bag(path: str, words: list[str]) -> list[RigInput]:
     """Find the topics of a bag that cameras are named by."""
-    place = Path(path)
-    if not (place.suffix in BAG_SUFFIXES or place.is_dir() and is_bag_folder(place)):
+    if not is_bag(Path(path)):
         raise ArgumentError(f'{path} is no bag, and holds no folder for each camera of '
                             '--cameras: give one INPUT for each.')
     topics = image_topics(Path(path))

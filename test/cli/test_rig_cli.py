@@ -267,6 +267,15 @@ def test_one_folder_may_hold_a_folder_of_images_for_each_camera(tmp_path):
         RigInput('left', str(tmp_path / 'cam0')), RigInput('cam1', str(tmp_path / 'cam1'))]
     with pytest.raises(ArgumentError, match='holds no folder for each camera'):
         rig_inputs([str(tmp_path)], 'cam0,cam2')
+    with pytest.raises(ArgumentError, match='holds no folder for each camera'):
+        rig_inputs([str(tmp_path / 'nowhere')], 'cam0,cam1')
+
+
+def test_a_file_of_a_bag_holds_the_cameras_as_its_folder_does(tmp_path):
+    _write_two_topics(tmp_path / 'bag', [np.zeros((48, 64), np.uint8)], 10**9, 0)
+    for path in (tmp_path / 'bag', *(tmp_path / 'bag').glob('*.mcap')):
+        assert rig_inputs([str(path)], 'left,right') == [
+            RigInput(name, str(path), f'/{name}/image_raw') for name in ('left', 'right')]
 
 
 def test_the_same_images_are_no_two_cameras():

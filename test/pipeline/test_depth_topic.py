@@ -117,7 +117,7 @@ def write(path, made, images, depths, late_ns=0):
 def test_a_bag_with_depths_says_that_the_model_is_too_large(made, tmp_path, capsys):
     made, images, depths = made
     bag = write(tmp_path / 'bag', made, images, depths)
-    with open_depths(bag, 'depth') as topic:
+    with open_depths(next(bag.glob('*.mcap')), 'depth') as topic:
         assert topic.at(int(made.stamps_ns[0]) - 10**9) is None
         assert np.allclose(topic.at(int(made.stamps_ns[3])), depths[3], atol=6e-4)
     write_camera_yaml(tmp_path / 'camera.yaml', made.camera, 'camera')

@@ -136,7 +136,7 @@ def test_what_cannot_be_opened_is_a_plain_sentence(monkeypatch):
     def refuse(path):
         raise PermissionError(13, 'Permission denied', 'locked')
 
-    monkeypatch.setattr(many_inputs, 'is_bag_folder', refuse)
+    monkeypatch.setattr('selfcal_ros.pipeline.bag_source.is_bag_folder', refuse)
     monkeypatch.setattr(Path, 'is_dir', lambda _: True)
     (outcome,) = many_inputs.calibrate_job(Job('locked', SETTINGS))
     assert outcome.error == 'locked cannot be read: Permission denied.'

@@ -196,7 +196,8 @@ def test_two_images_of_a_real_cube_make_a_model_that_tracks_it(tmp_path):
             camera, length_m=0.084, region=(310, 170, 455, 330)), images=(48, 102))
     # its pictures hide its edges among others: that must be said, not a poor model be made
     assert isinstance(automatic, NoEstimate)
-    assert automatic.kind in ('no_closed_faces', 'no_connected_lines')
+    # OpenCV 4 finds other segments
+    assert automatic.kind == ('no_connected_lines' if cv2.__version__ < '5' else 'no_closed_faces')
     model = made.acquired.model
     edges = model.edges()
     assert np.abs(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) - 0.084).max() < 0.008

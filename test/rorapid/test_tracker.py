@@ -81,8 +81,7 @@ def test_poses_are_those_of_the_truth(kwargs):
         frames = follow(made, images)
     angle, offset = errors(made, frames)
     assert all(f.state is TrackerState.TRACKING and not f.reason for f in frames)
-    sure = np.array([np.degrees(np.sqrt(np.trace(f.covariance[3:, 3:]))) for f in frames]) < 0.1
-    assert sure.mean() > 0.9 and angle[sure].max() < 0.3 and offset.max() < 0.005
+    assert angle.max() < 0.3 and offset.max() < 0.005
     assert np.sqrt(np.mean(angle**2)) < 0.12
     assert np.nanmax([f.rms_px for f in frames]) < 0.8
 
