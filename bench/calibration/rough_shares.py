@@ -14,10 +14,10 @@
 """
 Are the stated sigmas true where the laboratory ends? 1000 runs a world, in the independent rooms.
 
-Rows read in turn, a zoom, a head whose centre is not the camera's, an aspect ratio stated with a
-sigma; in every run another measured lens. The share of runs with the true fx, cx, cy inside the
-stated ellipsoids. Each run is kept in a folder by `--cache FOLDER`, and the table is made of all
-that lie there.
+Rows read in turn, a zoom, a head whose centre is not the camera's, uneven ground, an aspect ratio
+stated with a sigma; in every run another measured lens. The share of runs with the true fx, cx, cy
+inside the stated ellipsoids. Each run is kept in a folder by `--cache FOLDER`, and the table is
+made of all that lie there.
 """
 
 from __future__ import annotations
@@ -86,6 +86,9 @@ def troubles() -> dict[str, Trouble]:
         found[f'{name}, zoom of 10 %'] = Trouble({**world, 'fs': _zooming}, zooms=True)
         found[f'{name}, aspect ratio ± {ASPECT_SIGMA}'] = Trouble(
             world, {'aspect_ratio_sigma': ASPECT_SIGMA}, ASPECT_SIGMA)
+    # tilts in degrees, and how long they last as a share of the drive
+    for name, lasts in (('bumps', 0.004), ('slow waves', 0.1)):
+        found[f'drive, {name}'] = Trouble({'path': {'wob': 0.8, 'wobtau': lasts}})
     return {**found, 'head, lever of 8 cm': Trouble(head)}
 
 

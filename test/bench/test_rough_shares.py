@@ -59,4 +59,4 @@ def test_a_run_has_the_camera_with_the_aspect_ratio_that_is_stated_with_a_sigma(
     error, covariance = np.array(run['error']), np.array(run['covariance'])
     assert not run['refused'] and covariance.shape == (3, 3)
     assert (np.abs(error) < 4 * np.sqrt(np.diag(covariance))).all()
-    assert len(rough_shares.troubles()) == 11
+    assert len(rough_shares.troubles()) == 13

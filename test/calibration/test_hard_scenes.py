@@ -79,7 +79,7 @@ def test_rotation_is_told_from_motion_with_little_parallax(name):
     assert away < 4
 
 
-@pytest.mark.parametrize('seed, refused', enumerate((True, False)))
+@pytest.mark.parametrize('seed, refused', list(enumerate((True, False))))
 def test_a_long_valley_widens_the_sigmas(seed, refused):
     """Around a near axis the curvature at the optimum promises sigmas that are too small."""
     result, away = outcome('on the spot, 0.1 m off the axis', seed)

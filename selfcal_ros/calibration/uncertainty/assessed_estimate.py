@@ -39,6 +39,7 @@ from selfcal_ros.calibration.uncertainty.hidden_decentring import (
     hidden_decentring, HiddenDecentring, possible_decentring)
 from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, LensPosterior
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
+from selfcal_ros.calibration.uncertainty.uneven_ground import uneven_ground
 from selfcal_ros.findings.finding import Finding
 
 
@@ -132,6 +133,12 @@ def allow_for_segments(found: AssessedEstimate) -> AssessedEstimate:
     return found.widened(covariance, segment_findings(ratio))
 
 
+def allow_for_uneven_ground(found: AssessedEstimate) -> AssessedEstimate:
+    """Allow for a ground that tilts views in a row alike."""
+    more = uneven_ground(found.fit, found.variance_inflation)
+    return found if more is None else found.widened(more)
+
+
 def apply_lens_posterior(found: AssessedEstimate) -> AssessedEstimate:
     """Weigh what lenses are like anew, now that the images' errors are known."""
     posterior = lens_posterior(found.fit, found.state, found.covariance, found.residual)
@@ -154,11 +161,12 @@ def allow_for_prism(found: AssessedEstimate) -> AssessedEstimate:
     return found if prism is None else found.widened(prism.covariance, prism.findings())
 
 
-#: What every motion allows for, in this order. The posterior weighs the errors of the images. What
-#: no model has is none of them, and comes after. A prism is asked for where all sigmas are known.
+#: What every motion allows for, in this order. The posterior weighs the errors of the images and
+#: of the plane. What no model has is none of them, and comes after. A prism is asked for where all
+#: sigmas are known.
 SHARED: tuple[Correction, ...] = (
-    allow_for_distortion_misfit, allow_for_segments, apply_lens_posterior,
-    allow_for_hidden_decentring, allow_for_prism)
+    allow_for_distortion_misfit, allow_for_segments, allow_for_uneven_ground,
+    apply_lens_posterior, allow_for_hidden_decentring, allow_for_prism)
 
 
 @dataclass(frozen=True)
