@@ -41,7 +41,7 @@ from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor,
 from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
-from selfcal_ros.geometry.schur_complement import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks, UnreducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
@@ -219,18 +219,29 @@ class Bundle(Generic[StateT]):
         """Return the normal equations, and the roots of the weights (N, 1)."""
         if linearisation is None:
             linearisation = self.linearise(state)
+        unreduced, root = self._weighed(linearisation, robust)
+        return self._reduced(unreduced, state, damping), root
+
+    def _weighed(self, linearisation: Linearisation, robust: bool = True,
+                 ) -> tuple[UnreducedSystem, np.ndarray]:
+        """Weigh a linearisation: its equations, and the roots of the weights (N, 1)."""
         root = self._root_weights(linearisation, robust)
         wide = root[..., None]
-        system = self.blocks.reduce(linearisation.shared * wide, linearisation.view * wide,
-                                    linearisation.eliminated * wide,
-                                    linearisation.residual * root, damping)
+        return self.blocks.unreduced(linearisation.shared * wide, linearisation.view * wide,
+                                     linearisation.eliminated * wide,
+                                     linearisation.residual * root), root
+
+    def _reduced(self, unreduced: UnreducedSystem, state: StateT, damping: float,
+                 ) -> ReducedSystem:
+        """Eliminate, and add priors and scale gauge."""
+        system = unreduced.reduced(damping)
         self.add_priors(system, state)
         gauge = self.model.gauge(state, self.unknowns)
         if gauge is not None:
             path = self.unknowns.path
             weight = float(np.mean(system.diagonal[path][self.unknowns.free[path]]))
             system.add_gauge(weight, gauge)
-        return system, root
+        return system
 
     def optimise(self, state: StateT, iterations: int = 50, tolerance: float = 1e-3) -> StateT:
         """
@@ -251,12 +262,16 @@ class Bundle(Generic[StateT]):
         BundleState
 
         """
-        def linearise(state: StateT, seen: Prediction | None) -> Linearisation:
-            return self.linearise(state) if seen is None else seen.differentiated(self.unknowns)
+        def linearise(state: StateT, seen: Prediction | None,
+                      ) -> tuple[UnreducedSystem, np.ndarray]:
+            # one attempt in three begins where the last one failed, and changes the damping alone
+            return self._weighed(self.linearise(state) if seen is None
+                                 else seen.differentiated(self.unknowns))
 
-        def attempt(state: StateT, linearisation: Linearisation, damping: float,
+        def attempt(state: StateT, weighed: tuple[UnreducedSystem, np.ndarray], damping: float,
                     ) -> tuple[StateT | None, float]:
-            system, root = self.weighted_equations(state, damping, linearisation=linearisation)
+            unreduced, root = weighed
+            system = self._reduced(unreduced, state, damping)
             factor = DampedFactor(system.matrix, system.diagonal, damping,
                                   self.unknowns.selection)
             if not factor.usable:
