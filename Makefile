@@ -25,6 +25,9 @@ SOURCES := setup.py setup.cfg pyproject.toml package.xml README.md \
 # NumPy's threads gain nothing on matrices this small, and cost much when tests run side by side
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# tests start the same programs again and again: each is compiled once, also for those who
+# otherwise let Python leave no compiled files behind
+test: export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo demo-arm demo-track test lint docs bench clean help
 

@@ -214,10 +214,10 @@ class PointBlocks:
             matrix[own, own] = gram[g:, g:]
         return matrix
 
-    def reduce(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
-               residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
+    def unreduced(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
+                  residual: np.ndarray) -> UnreducedSystem:
         """
-        Eliminate the points from the normal equations.
+        Set up the normal equations of which the points can be eliminated.
 
         Parameters
         ----------
@@ -225,6 +225,93 @@ class PointBlocks:
         jac_view : ndarray, shape (N, m, v)
         jac_point : ndarray, shape (N, m, p)
         residual : ndarray, shape (N, m)
+
+        Returns
+        -------
+        UnreducedSystem
+
+        """
+        v = jac_view.shape[2]
+        full = np.concatenate([jac_shared, jac_view], axis=2) if v else jac_shared
+        return self.unreduced_rows(full, v, jac_point, residual)
+
+    def unreduced_rows(self, full: np.ndarray, v: int, jac_point: np.ndarray,
+                       residual: np.ndarray) -> UnreducedSystem:
+        """
+        Do as `unreduced`, of the rows that it puts together: no copy of many unknowns is made.
+
+        Parameters
+        ----------
+        full : ndarray, shape (N, m, g + v)
+            By what is shared, then by the unknowns of the view.
+        v : int
+        jac_point : ndarray, shape (N, m, p)
+        residual : ndarray, shape (N, m)
+
+        Returns
+        -------
+        UnreducedSystem
+
+        """
+        g = full.shape[2] - v
+        matrix: np.ndarray | ChainMatrix
+        if self.chain is not None and v:
+            matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
+            for k, gram in self._grams(full):
+                matrix.add_gram(gram, place[k:k + 1])
+        else:
+            matrix = self._summed(full, g, v)
+        cross = None
+        if v:
+            H, shared = self._products_of_few(jac_point, full)
+            shared = shared[..., :g]
+            cross = np.swapaxes(jac_point, 1, 2) @ full[:, :, g:]            # (N, p, v)
+            if len(self._cells) < len(cross):
+                cross = np.add.reduceat(cross, self._cells, axis=0)
+        else:
+            H, shared = self._products(jac_point, full)
+        return UnreducedSystem(self, self._groups, matrix, residual, full, jac_point, H, shared,
+                               cross)
+
+
+class UnreducedSystem(NamedTuple):
+    """
+    Normal equations before the points are eliminated, which no damping changes.
+
+    Attributes
+    ----------
+    blocks : PointBlocks
+    groups : list of _Group
+        Points that are eliminated together.
+    matrix : ndarray or ChainMatrix, shape (n, n)
+        With the points held.
+    residual : ndarray, shape (N, m)
+    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, p)
+    by_points : ndarray, shape (P, p, p)
+        Blocks of the points.
+    shared : ndarray, shape (P, p, g)
+        Products of the points' derivatives with those by what is shared.
+    cross : ndarray, shape (c, p, v), or None
+        The same by the unknowns of a view, one for each point in each view.
+
+    """
+
+    blocks: PointBlocks
+    groups: list[_Group]
+    matrix: np.ndarray | ChainMatrix
+    residual: np.ndarray
+    jac_rest: np.ndarray
+    jac_point: np.ndarray
+    by_points: np.ndarray
+    shared: np.ndarray
+    cross: np.ndarray | None
+
+    def reduced(self, damping: float = 0.0) -> ReducedSystem:
+        """
+        Eliminate the points; the equations here stay as they are.
+
+        Parameters
+        ----------
         damping : float
             Levenberg-Marquardt factor on the diagonal of the point blocks. The diagonal of the
             rest is left to the caller.
@@ -234,58 +321,22 @@ class PointBlocks:
         ReducedSystem
 
         """
-        v = jac_view.shape[2]
-        full = np.concatenate([jac_shared, jac_view], axis=2) if v else jac_shared
-        return self.reduce_rows(full, v, jac_point, residual, damping)
-
-    def reduce_rows(self, full: np.ndarray, v: int, jac_point: np.ndarray,
-                    residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
-        """
-        Do as `reduce`, of the rows that it puts together: no copy of many unknowns is made.
-
-        Parameters
-        ----------
-        full : ndarray, shape (N, m, g + v)
-            By what is shared, then by the unknowns of the view.
-        v : int
-        jac_point : ndarray, shape (N, m, p)
-        residual : ndarray, shape (N, m)
-        damping : float
-
-        Returns
-        -------
-        ReducedSystem
-
-        """
-        g, p = full.shape[2] - v, jac_point.shape[2]
-        matrix: np.ndarray | ChainMatrix
-        if self.chain is not None and v:
-            matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
-            for k, gram in self._grams(full):
-                matrix.add_gram(gram, place[k:k + 1])
-        else:
-            matrix = self._summed(full, g, v)
+        g, p = self.shared.shape[2], self.jac_point.shape[2]
+        v = self.jac_rest.shape[2] - g
+        matrix, H = self.matrix.copy(), self.by_points.copy()
         diagonal = matrix.diagonal().copy()
-
-        if v:
-            H, shared = self._products_of_few(jac_point, full)
-            shared = shared[..., :g]
-            cross = np.swapaxes(jac_point, 1, 2) @ full[:, :, g:]            # (N, p, v)
-            if len(self._cells) < len(cross):
-                cross = np.add.reduceat(cross, self._cells, axis=0)
-        else:
-            H, shared = self._products(jac_point, full)
         scale = np.einsum('pii->pi', H)      # a view: what is added to it is added to H
         # a floor keeps points without parallax invertible
         floor = scale * damping + 1e-12 * scale.sum(1, keepdims=True) + 1e-300
         scale += floor
         inverse_root = inverse_cholesky(H)
         factors = []
-        for members, rows, slot, column, window in self._groups:
+        for members, rows, slot, column, window in self.groups:
             W = np.zeros((len(members), p, g + len(window) * v))
-            W[..., :g] = shared[members]
-            if v:
-                W[..., g:].reshape(len(members), p, len(window), v)[slot, :, column] = cross[rows]
+            W[..., :g] = self.shared[members]
+            if self.cross is not None:
+                by_view = W[..., g:].reshape(len(members), p, len(window), v)
+                by_view[slot, :, column] = self.cross[rows]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
             own: slice | np.ndarray
@@ -296,9 +347,9 @@ class PointBlocks:
                 own = _places(window, g, v)
                 _subtract(matrix, gram, g, own)
             factors.append((members, M, own))
-        system = ReducedSystem(self, matrix, diagonal, residual, full, jac_point, inverse_root,
-                               factors, g)
-        system.gradient, system.half_b = system.right_hand_side(residual)
+        system = ReducedSystem(self.blocks, matrix, diagonal, self.residual, self.jac_rest,
+                               self.jac_point, inverse_root, factors, g)
+        system.gradient, system.half_b = system.right_hand_side(self.residual)
         return system
 
 

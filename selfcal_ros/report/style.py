@@ -15,7 +15,8 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 import io
 import math
@@ -23,6 +24,7 @@ from typing import Any, TYPE_CHECKING
 import warnings
 
 import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
@@ -97,21 +99,27 @@ class Drawing:
         return [_png(panel) for panel in self.panels]
 
 
-def _svg(figure: Figure, fonttype: str) -> bytes:
-    # savefig draws twice, the first time for nothing: half of the time of a report
-    stream = io.StringIO()
-    with styled({'svg.fonttype': fonttype}):
+# savefig draws twice, the first time for nothing: half of the time of a report
+@contextmanager
+def _for_a_file(figure: Figure, settings: dict[str, Any] | None = None) -> Iterator[None]:
+    with styled(settings):
         screen_dpi, figure.dpi = figure.dpi, matplotlib.rcParams['savefig.dpi']
         figure.set_facecolor(PAPER)
-        FigureCanvasSVG(figure).print_svg(stream, metadata={'Date': None, 'Creator': None})
+        yield
         figure.dpi = screen_dpi
+
+
+def _svg(figure: Figure, fonttype: str) -> bytes:
+    stream = io.StringIO()
+    with _for_a_file(figure, {'svg.fonttype': fonttype}):
+        FigureCanvasSVG(figure).print_svg(stream, metadata={'Date': None, 'Creator': None})
     return stream.getvalue().encode('utf-8')
 
 
 def _png(figure: Figure) -> bytes:
     stream = io.BytesIO()
-    with styled():
-        figure.savefig(stream, format='png', facecolor=PAPER)
+    with _for_a_file(figure):
+        FigureCanvasAgg(figure).print_png(stream)
     return stream.getvalue()
 
 

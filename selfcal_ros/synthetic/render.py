@@ -159,18 +159,32 @@ class Scene:
 
     def _bilinear(self, surface: int, level: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         width, height = self.sides[surface] >> level
-        x = np.clip(u * width - 0.5, 0, width - 1)
-        y = np.clip(v * height - 0.5, 0, height - 1)
-        column = np.minimum(x.astype(np.int64), width - 2)
-        row = np.minimum(y.astype(np.int64), height - 2)
-        x -= column
-        y -= row
-        first = self._offsets[surface, level] + row * width + column
+        x, column = _texel(u, width)
+        y, first = _texel(v, height)
+        first *= width
+        first += column
+        first += self._offsets[surface, level]
         texels, left = self._texels, 1 - x
-        top = texels.take(first) * left + texels.take(first + 1) * x
+        top, bottom = (texels.take(first + below) * left for below in (0, width))
+        first += 1
+        top += texels.take(first) * x
         first += width
-        bottom = texels.take(first) * left + texels.take(first + 1) * x
-        return np.asarray(top + y * (bottom - top))
+        bottom += texels.take(first) * x
+        bottom -= top
+        bottom *= y
+        return np.asarray(np.add(top, bottom, out=top))
+
+
+def _texel(share: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split places, 0 to 1 along a side of a texture, into texels and the way to the next."""
+    place = share * side
+    place -= 0.5
+    np.maximum(place, 0, out=place)
+    np.minimum(place, side - 1, out=place)
+    texel = place.astype(np.int64)
+    np.minimum(texel, side - 2, out=texel)
+    place -= texel
+    return place, texel
 
 
 class Renderer:
@@ -220,17 +234,23 @@ class Renderer:
                 # sample k of a pixel lies at (k + 1/2) / n - 1/2 from the pixel's centre
                 y = (np.arange(rows.start * n, rows.stop * n) + 0.5) / n - 0.5
                 x = (np.arange(columns.start * n, columns.stop * n) + 0.5) / n - 0.5
-                pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-                rays = self._rays(pixels)
+                rays = self._rays(x, y)
                 yield (rows, columns), rays, self._step(rays.reshape(3, len(y), len(x)))
 
-    def _rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the ray of every sample, shape (3, N), NaN where there is none."""
-        if self.camera.lens.is_perspective:
-            rays = np.ones((3, len(pixels)))
-            rays[:2] = self.camera.normalised(pixels).T
+    def _rays(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the ray of every sample of a grid, shape (3, N), NaN where there is none."""
+        rays = np.ones((3, len(y) * len(x)))
+        if self.camera.is_pinhole and not self.camera.K[0, 1]:
+            # columns and rows do not mix
+            grid = rays.reshape(3, len(y), len(x))
+            grid[0] = self.camera.normalised(np.stack([x, 0 * x], axis=-1))[:, 0]
+            grid[1] = self.camera.normalised(np.stack([0 * y, y], axis=-1))[:, 1:]
         else:
-            rays = self.camera.rays(pixels).T
+            pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+            if self.camera.lens.is_perspective:
+                rays[:2] = self.camera.normalised(pixels).T
+            else:
+                rays = self.camera.rays(pixels).T
         if self._circle is not None:
             angle = np.arctan2(np.hypot(rays[0], rays[1]), rays[2])
             rays[:, ~(angle <= self._circle / 2)] = np.nan
@@ -446,5 +466,11 @@ def quantise(intensity: np.ndarray, rng: np.random.Generator | None = None,
     if noise_sigma:
         if rng is None:
             raise ArgumentError('Image noise needs an rng to draw from.')
-        intensity = intensity + rng.normal(0.0, noise_sigma, np.shape(intensity))
-    return np.asarray(np.clip(np.rint(intensity), 0, 255).astype(np.uint8))
+        noise = rng.standard_normal(np.shape(intensity))
+        noise *= noise_sigma
+        noise += intensity
+        intensity = noise
+    grey = np.rint(intensity)
+    np.maximum(grey, 0, out=grey)
+    np.minimum(grey, 255, out=grey)
+    return np.asarray(grey.astype(np.uint8))

@@ -68,7 +68,7 @@ def test_elimination_solves_the_whole_system():
     bundle, state = problem(0.1)
     line = bundle.linearise(state)
     blocks, n = bundle.blocks, len(bundle.view)
-    system = blocks.reduce(line.shared, line.view, line.eliminated, line.residual)
+    system = blocks.unreduced(line.shared, line.view, line.eliminated, line.residual).reduced()
     rest, unknowns = len(bundle.unknowns), bundle.unknowns
     J = np.zeros((n, 2, rest + 3 * blocks.point_count))
     J[:, :, unknowns.shared] = line.shared
@@ -95,14 +95,15 @@ def test_views_that_share_no_window_are_grouped_right():
     blocks = PointBlocks(point, view.ravel())
     n = len(point)
     shared, own, points = (rng.standard_normal((n, 2, k)) for k in (4, 2, 3))
-    system = blocks.reduce(shared, own, points, rng.standard_normal((n, 2)))
+    system = blocks.unreduced(shared, own, points, rng.standard_normal((n, 2))).reduced()
 
     np.testing.assert_allclose(system.matrix, system.matrix.T, atol=1e-9)
     assert np.linalg.eigvalsh(system.matrix).min() > -1e-9
     # views 0 and 9 share no point
     a, b = slice(4, 6), slice(4 + 2 * 9, 6 + 2 * 9)
     assert np.abs(system.matrix[a, a]).max() > 0
-    off = blocks.reduce(np.zeros((n, 2, 0)), own, points, np.zeros((n, 2))).matrix[:2, 18:20]
+    off = blocks.unreduced(np.zeros((n, 2, 0)), own, points,
+                           np.zeros((n, 2))).reduced().matrix[:2, 18:20]
     np.testing.assert_allclose(off, 0, atol=1e-12)
     assert b.stop <= len(system.matrix)
 

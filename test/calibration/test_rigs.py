@@ -99,7 +99,8 @@ def test_points_that_a_view_sees_twice_are_eliminated_as_the_dense_equations_say
         rows[n, :, size + 3 * point:size + 3 * point + 3] = at.eliminated[n]
     N = np.einsum('nij,nik->jk', rows, rows)
     dense = N[:size, :size] - N[:size, size:] @ np.linalg.solve(N[size:, size:], N[size:, :size])
-    reduced = bundle.blocks.reduce(at.shared, at.view, at.eliminated, at.residual).matrix
+    reduced = bundle.blocks.unreduced(at.shared, at.view, at.eliminated,
+                                      at.residual).reduced().matrix
     assert np.abs(reduced - dense).max() < 1e-9 * np.abs(dense).max()
 
 

@@ -50,10 +50,10 @@ def systems(monkeypatch, closed, seed=0):
     rng = np.random.default_rng(seed + 100)
     columns = [rng.standard_normal((len(point), 2, k)) for k in (SHARED, OF_VIEW, 3)]
     residual = rng.standard_normal((len(point), 2))
-    chained = PointBlocks(point, view).reduce(*columns, residual)
+    chained = PointBlocks(point, view).unreduced(*columns, residual).reduced()
     with monkeypatch.context() as patch:
         patch.setattr(schur_complement, 'chain_of_views', lambda *_: None)
-        dense = PointBlocks(point, view).reduce(*columns, residual)
+        dense = PointBlocks(point, view).unreduced(*columns, residual).reduced()
     assert isinstance(chained.matrix, ChainMatrix) and isinstance(dense.matrix, np.ndarray)
     return chained, dense
 
@@ -129,7 +129,7 @@ def test_points_are_eliminated_whatever_views_they_are_seen_in():
     columns = [rng.standard_normal((len(point), 2, k)) for k in (SHARED, OF_VIEW, 3)]
     residual = rng.standard_normal((len(point), 2))
 
-    system = PointBlocks(point, view).reduce(*columns, residual)
+    system = PointBlocks(point, view).unreduced(*columns, residual).reduced()
 
     assert isinstance(system.matrix, np.ndarray)
     n = SHARED + views * OF_VIEW

@@ -46,27 +46,31 @@ both_engines = pytest.mark.parametrize('engine', ['processes',
                                                   pytest.param('dask', marks=needs_dask)])
 
 
-@both_engines
-def test_every_result_comes_and_is_computed_with_one_thread(engine):
+@pytest.fixture(scope='module', params=['processes', pytest.param('dask', marks=needs_dask)])
+def done(request):
+    """Run jobs of many kinds once; gives engine, results by number, environment before, after."""
     before = dict(os.environ)
     jobs = [partial(os.getenv, 'OMP_NUM_THREADS'), partial(pow, 2, 10), os.getpid,
-            cv2.getNumThreads, partial(os.getenv, 'MALLOC_TRIM_THRESHOLD_')]
-    found = dict(run_jobs(call, jobs, engine=engine, workers=2))
+            cv2.getNumThreads, partial(os.getenv, 'MALLOC_TRIM_THRESHOLD_'), partial(int, 'x')]
+    found = dict(run_jobs(call, jobs, engine=request.param, workers=2))
+    assert len(found) == len(jobs)
+    return request.param, found, before, dict(os.environ)
+
+
+def test_every_result_comes_and_is_computed_with_one_thread(done):
+    engine, found, before, after = done
     assert found[0] == '1' and found[1] == 1024 and found[2] != os.getpid() and found[3] == 1
     # memory stays with the process: Dask's own choice costs half as much time again
     assert found[4] == before.get('MALLOC_TRIM_THRESHOLD_')
     # Dask adds variables of its own
-    assert {name: os.environ.get(name) for name in before} == before
-    assert engine == 'dask' or dict(os.environ) == before
+    assert {name: after.get(name) for name in before} == before
+    assert engine == 'dask' or after == before
 
 
-@both_engines
-def test_a_job_that_kills_its_process_costs_only_itself(engine):
-    jobs = [partial(pow, number, 2) for number in range(12)]
-    jobs[2] = jobs[7] = partial(os._exit, 1)
-    expected = {number: number**2 for number in range(12)} | {2: None, 7: None}
-    found = list(run_jobs(call, jobs, engine=engine, workers=2))
-    assert dict(found) == expected and len(found) == 12
+def test_a_job_that_raises_says_what(done):
+    _, found, *_ = done
+    assert found[1] == 1024
+    assert isinstance(found[5], ValueError) and "'x'" in str(found[5])
 
 
 def unreadable():
@@ -83,17 +87,19 @@ class Unreadable:
         return 1
 
 
-@both_engines
-def test_a_job_that_raises_says_what(engine):
-    found = dict(run_jobs(call, [partial(int, 'x'), partial(pow, 2, 2)], engine=engine, workers=2))
-    assert found[1] == 4
-    assert isinstance(found[0], ValueError) and "'x'" in str(found[0])
-
-
 @needs_dask
 def test_a_job_that_cannot_be_read_on_the_cluster_says_what():
     (_, value), = run_jobs(call, [Unreadable()], engine='dask', workers=1)
     assert isinstance(value, Exception)
+
+
+@both_engines
+def test_a_job_that_kills_its_process_costs_only_itself(engine):
+    jobs = [partial(pow, number, 2) for number in range(12)]
+    jobs[2] = jobs[7] = partial(os._exit, 1)
+    expected = {number: number**2 for number in range(12)} | {2: None, 7: None}
+    found = list(run_jobs(call, jobs, engine=engine, workers=2))
+    assert dict(found) == expected and len(found) == 12
 
 
 def test_a_recording_that_could_not_be_run_says_why(monkeypatch):

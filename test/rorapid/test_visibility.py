@@ -27,6 +27,10 @@ from selfcal_ros.synthetic.object_shapes import cube, spool, step_block
 from selfcal_ros.synthetic.render import Renderer, Scene
 
 
+#: Its faces are drawn texel by texel, once.
+CUBE = cube(1.0).model
+
+
 def _star(arms=5, height=0.6):
     """Return a prism over a star: deep notches on all sides."""
     angle = np.pi * np.arange(2 * arms) / arms
@@ -40,20 +44,18 @@ def _star(arms=5, height=0.6):
 
 def _open_box():
     """Return a box without a lid: its faces are seen from both sides."""
-    model = cube(1.0).model
-    return WireframeModel.build(model.vertices[:8], (), [
-        face for k, face in enumerate(model.faces) if k != 4])
+    return WireframeModel.build(CUBE.vertices[:8], (), [
+        face for k, face in enumerate(CUBE.faces) if k != 4])
 
 
 def _two_boxes():
     """Return two boxes that share a part of a wall."""
-    box = cube(1.0).model
-    other = box.vertices[:8] * [1, 0.6, 0.5] + [1.0, 0.1, -0.25]
-    faces = list(box.faces) + [Polygon([i + 8 for i in face.indices]) for face in box.faces]
-    return WireframeModel.build(np.concatenate([box.vertices[:8], other]), (), faces)
+    other = CUBE.vertices[:8] * [1, 0.6, 0.5] + [1.0, 0.1, -0.25]
+    faces = list(CUBE.faces) + [Polygon([i + 8 for i in face.indices]) for face in CUBE.faces]
+    return WireframeModel.build(np.concatenate([CUBE.vertices[:8], other]), (), faces)
 
 
-SOLIDS = {'cube': cube(1.0).model, 'step': step_block(1.0).model, 'star': _star(),
+SOLIDS = {'cube': CUBE, 'step': step_block(1.0).model, 'star': _star(),
           'open': _open_box(), 'two': _two_boxes()}
 
 

@@ -172,9 +172,10 @@ class _Adjustment:
         weight = np.sqrt(huber_weights(np.linalg.norm(residual, axis=1) / sigma, _HUBER_SIGMAS))
         root = (weight / sigma)[:, None]
         jac_view[:, :, :] *= self.free.reshape(-1, 12)[view][:, None]
-        system = self.blocks.reduce(np.zeros((len(view), 2, 0)), jac_view * root[..., None],
-                                    jac_point * root[..., None], residual * root, damping)
-        return system, root
+        unreduced = self.blocks.unreduced(
+            np.zeros((len(view), 2, 0)), jac_view * root[..., None], jac_point * root[..., None],
+            residual * root)
+        return unreduced.reduced(damping), root
 
     def optimise(self, cameras: np.ndarray, points: np.ndarray, iterations: int,
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

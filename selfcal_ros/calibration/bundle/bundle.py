@@ -34,14 +34,14 @@ from selfcal_ros.calibration.bundle.model import Linearisation, Model, Predictio
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState, StateT
-from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
                                                       straight_step)
 from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
-from selfcal_ros.geometry.schur_complement import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks, UnreducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
@@ -118,7 +118,7 @@ class Bundle(Generic[StateT]):
         seen = self.predict(state)
         return np.where(seen.ahead[:, None], seen.residual, np.nan)
 
-    def prior_terms(self, state: StateT) -> tuple[float, np.ndarray, np.ndarray]:
+    def prior_terms(self, state: StateT) -> PriorTerms:
         """
         Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
 
@@ -139,7 +139,7 @@ class Bundle(Generic[StateT]):
         return cost, gradient, diagonal
 
     def add_priors(self, system: ReducedSystem, state: StateT, at: np.ndarray | None = None,
-                   weight: float = 1.0) -> None:
+                   weight: float = 1.0, terms: PriorTerms | None = None) -> None:
         """
         Add all that is supposed to normal equations of the observations.
 
@@ -152,10 +152,12 @@ class Bundle(Generic[StateT]):
             Where the unknowns of this adjustment stand, if there are more.
         weight : float
             Of the priors; -1 takes them out again.
+        terms : PriorTerms, optional
+            What `prior_terms` gives for this state, where it is known already.
 
         """
         at = np.arange(len(self.unknowns)) if at is None else at
-        _, gradient, diagonal = self.prior_terms(state)
+        _, gradient, diagonal = self.prior_terms(state) if terms is None else terms
         system.gradient[at] += weight * gradient
         system.add_diagonal(at, weight * diagonal)
         system.diagonal[at] += weight * diagonal
@@ -185,7 +187,7 @@ class Bundle(Generic[StateT]):
         """Robust cost in units of sigma²; infinite where the state is impossible."""
         return self._evaluated(state)[0]
 
-    def _evaluated(self, state: StateT) -> tuple[float, Prediction | None]:
+    def _evaluated(self, state: StateT) -> tuple[float, tuple[Prediction, PriorTerms] | None]:
         """Return the cost, and what it was computed from."""
         if not state.lens.is_possible:
             return np.inf, None
@@ -193,8 +195,8 @@ class Bundle(Generic[StateT]):
         distance = self._misfits(seen)
         if not np.isfinite(distance).all():
             return np.inf, None
-        loss = float(huber_loss(distance, HUBER_SIGMAS).sum())
-        return loss + self.prior_terms(state)[0], seen
+        loss, terms = float(huber_loss(distance, HUBER_SIGMAS).sum()), self.prior_terms(state)
+        return loss + terms[0], (seen, terms)
 
     def _misfits(self, seen: Prediction | Linearisation) -> np.ndarray:
         """Return the length of every residual (N,) in sigmas."""
@@ -219,18 +221,29 @@ class Bundle(Generic[StateT]):
         """Return the normal equations, and the roots of the weights (N, 1)."""
         if linearisation is None:
             linearisation = self.linearise(state)
+        unreduced, root = self._weighed(linearisation, robust)
+        return self._reduced(unreduced, state, damping), root
+
+    def _weighed(self, linearisation: Linearisation, robust: bool = True,
+                 ) -> tuple[UnreducedSystem, np.ndarray]:
+        """Weigh a linearisation: its equations, and the roots of the weights (N, 1)."""
         root = self._root_weights(linearisation, robust)
         wide = root[..., None]
-        system = self.blocks.reduce(linearisation.shared * wide, linearisation.view * wide,
-                                    linearisation.eliminated * wide,
-                                    linearisation.residual * root, damping)
-        self.add_priors(system, state)
+        return self.blocks.unreduced(linearisation.shared * wide, linearisation.view * wide,
+                                     linearisation.eliminated * wide,
+                                     linearisation.residual * root), root
+
+    def _reduced(self, unreduced: UnreducedSystem, state: StateT, damping: float,
+                 terms: PriorTerms | None = None) -> ReducedSystem:
+        """Eliminate, and add priors and scale gauge."""
+        system = unreduced.reduced(damping)
+        self.add_priors(system, state, terms=terms)
         gauge = self.model.gauge(state, self.unknowns)
         if gauge is not None:
             path = self.unknowns.path
             weight = float(np.mean(system.diagonal[path][self.unknowns.free[path]]))
             system.add_gauge(weight, gauge)
-        return system, root
+        return system
 
     def optimise(self, state: StateT, iterations: int = 50, tolerance: float = 1e-3) -> StateT:
         """
@@ -251,12 +264,16 @@ class Bundle(Generic[StateT]):
         BundleState
 
         """
-        def linearise(state: StateT, seen: Prediction | None) -> Linearisation:
-            return self.linearise(state) if seen is None else seen.differentiated(self.unknowns)
+        def linearise(state: StateT, known: tuple[Prediction, PriorTerms] | None,
+                      ) -> tuple[UnreducedSystem, np.ndarray, PriorTerms]:
+            # one attempt in three begins where the last one failed, and changes the damping alone
+            seen, terms = known or (self.predict(state), self.prior_terms(state))
+            return *self._weighed(seen.differentiated(self.unknowns)), terms
 
-        def attempt(state: StateT, linearisation: Linearisation, damping: float,
-                    ) -> tuple[StateT | None, float]:
-            system, root = self.weighted_equations(state, damping, linearisation=linearisation)
+        def attempt(state: StateT, shared: tuple[UnreducedSystem, np.ndarray, PriorTerms],
+                    damping: float) -> tuple[StateT | None, float]:
+            unreduced, root, terms = shared
+            system = self._reduced(unreduced, state, damping, terms)
             factor = DampedFactor(system.matrix, system.diagonal, damping,
                                   self.unknowns.selection)
             if not factor.usable:

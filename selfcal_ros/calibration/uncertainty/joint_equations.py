@@ -88,8 +88,9 @@ def joint_equations(fit: RobustFit, shared: Sequence[np.ndarray],
     first, view = linearisation.shared.shape[2], linearisation.view.shape[2]
     own = view + sum(columns.shape[2] for columns in of_views)
     count = slopes.shape[2] - own
-    system = bundle.blocks.reduce_rows(slopes, own, linearisation.eliminated * root[..., None],
-                                       linearisation.residual * root)
+    system = bundle.blocks.unreduced_rows(
+        slopes, own, linearisation.eliminated * root[..., None],
+        linearisation.residual * root).reduced()
     by_view = np.arange(count, len(system.matrix)).reshape(bundle.blocks.view_count, own)
     place = np.r_[:first, by_view[:, :view].ravel()]
     bundle.add_priors(system, state, place, prior_weight)
