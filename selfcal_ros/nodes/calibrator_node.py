@@ -251,7 +251,7 @@ class CalibratorNode(Node):
                 ('fx', 'fy', 'cx', 'cy'), result.camera.parameters) for v in (value, sigma[name])),
                 len(result.frames)))
         if result.mount is not None:
-            self.get_logger().info(in_parameters(mount_line(result.mount)))
+            self.get_logger().info(in_parameters(mount_line(result.mount, result.findings)))
         self._mount.take(result.mount)
         if scene is not None:
             self._scene.publish(scene)

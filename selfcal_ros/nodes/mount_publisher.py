@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +30,7 @@ from rclpy.node import Node
 from selfcal_ros.calibration.mount import Floor, Mount, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
@@ -36,6 +38,8 @@ from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.report.mounts.transform_files import CAMERA_FRAME, stored_mount
 from selfcal_ros.report.mounts.words import mount_rows, mount_sentence, no_mount_sentence
 
+#: Findings that say that a mount is hardly what a robot has.
+ODD = ('mount_upside_down', 'mount_far_off')
 #: A mount that differs from the published one by fewer of that one's sigmas is no news.
 NEWS_SIGMAS = 1.0
 
@@ -127,13 +131,15 @@ def _differs(mount: Mount, other: Mount) -> bool:
     return bool((apart > NEWS_SIGMAS * np.sqrt(np.diag(sigma)) + 1e-9).any())
 
 
-def mount_line(mount: Mount | NoEstimate) -> str:
-    """Return a mount for the log, in a line: its numbers, and what is open."""
+def mount_line(mount: Mount | NoEstimate, findings: Iterable[Finding] = ()) -> str:
+    """Return a mount for the log, in a line: its numbers, what is open, and what is odd."""
     if not isinstance(mount, Mount):
         return no_mount_sentence(mount)
     known = [f'{row.name} {row.value} ± {row.sigma or 0} {row.unit}' for row in mount_rows(mount)
              if row.value and row.name in (*PLACE, *TURN)]
-    return ' '.join(filter(None, (mount_sentence(mount), ', '.join(known))))
+    odd = [one.sentence for one in findings if one.kind in ODD]
+    return ' '.join(filter(None, (mount_sentence(mount), f'{", ".join(known)}.' if known else '',
+                                  *odd)))
 
 
 def mount_values(mount: Mount | NoEstimate | None) -> dict[str, Any]:

@@ -29,6 +29,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes import mount_publisher
@@ -240,6 +241,10 @@ def a_mount(x, z_known=True):
 def test_the_log_has_a_mount_in_a_line():
     line = mount_publisher.mount_line(a_mount(0.3, z_known=False))
     assert line.startswith('The camera on base_link, from 20 poses') and '\n' not in line
+    odd = mount_publisher.mount_line(a_mount(0.3), [
+        Finding('metre_of_odometry'),
+        Finding('mount_upside_down', body='base_link', roll_deg=180.0)])
+    assert odd.endswith('turns to the left must be positive.') and 'wheels' not in odd
     assert 'leaves z open' in line and 'x 0.300 ± 0.01 m' in line and 'yaw' in line
     refused = mount_publisher.mount_line(NoEstimate('body_stood_still', body='base_link'))
     assert refused.startswith('Where the camera sits is not known')
