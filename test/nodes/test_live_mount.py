@@ -245,7 +245,7 @@ def test_the_log_has_a_mount_in_a_line():
         Finding('metre_of_odometry'),
         Finding('mount_upside_down', body='base_link', roll_deg=180.0)])
     assert odd.endswith('turns to the left must be positive.') and 'wheels' not in odd
-    assert 'leaves z open' in line and 'x 0.300 ± 0.01 m' in line and 'yaw' in line
+    assert 'leaves z open' in line and 'x 0.300 ± 0.010 m' in line and 'yaw' in line
     refused = mount_publisher.mount_line(NoEstimate('body_stood_still', body='base_link'))
     assert refused.startswith('Where the camera sits is not known')
 
