@@ -136,6 +136,11 @@ MOUNTING: dict[str, Phrase] = {
         'order {truly}, under the names {named}.',
         'In that order the turns of body and camera agree. Programs differ in where they put w.',
         'Put the columns in the order of their names.'),
+    'body_angles_as_vectors': Phrase(
+        'The {count} poses of the body contradict the images. Their rotation vectors rx,ry,rz '
+        'seem to be roll, pitch and yaw.',
+        'Taken as such angles, the turns of body and camera agree.',
+        'Convert roll, pitch and yaw to quaternions qw,qx,qy,qz.'),
     'body_poses_shifted': Phrase(
         'The {count} poses of the body contradict the images. They seem to be those of the image '
         '{which}.',
