@@ -36,7 +36,7 @@ LEAST_TIMED = 10
 APART_S, NEARLY = 0.1, 1.0
 
 
-def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
+def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[float]:
     """
     Return offsets at which body and camera turned and moved alike, the best first.
 
@@ -48,6 +48,8 @@ def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
     camera : CameraPoses
     track : BodyTrack
         Of the same images.
+    middle : float
+        About which offsets are tried, seconds.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
     """
     if not track.timed:
         return [0.0]
-    tried, cost = _profile(camera, track)
+    tried, cost = _profile(camera, track, middle)
     if not len(tried):
         return []
     padded = np.concatenate([[np.inf], cost, [np.inf]])
@@ -66,7 +68,8 @@ def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
     return [float(one) for one in tried[best]]
 
 
-def alike(camera: CameraPoses, track: BodyTrack, found: float) -> list[float]:
+def alike(camera: CameraPoses, track: BodyTrack, found: float,
+          middle: float = 0.0) -> list[float]:
     """
     Return offsets far from the one that was found at which turns and steps agree nearly as well.
 
@@ -80,6 +83,8 @@ def alike(camera: CameraPoses, track: BodyTrack, found: float) -> list[float]:
         Of the same images.
     found : float
         Seconds.
+    middle : float
+        See `offsets`.
 
     Returns
     -------
@@ -87,7 +92,7 @@ def alike(camera: CameraPoses, track: BodyTrack, found: float) -> list[float]:
         Seconds, the best first, `APART_S` from each other.
 
     """
-    tried, cost = _profile(camera, track)
+    tried, cost = _profile(camera, track, middle)
     chosen: list[float] = []
     for k in np.argsort(cost, kind='stable'):
         if cost[k] < cost.min() + NEARLY and all(
@@ -96,12 +101,13 @@ def alike(camera: CameraPoses, track: BodyTrack, found: float) -> list[float]:
     return chosen
 
 
-def _profile(camera: CameraPoses, track: BodyTrack) -> tuple[np.ndarray, np.ndarray]:
+def _profile(camera: CameraPoses, track: BodyTrack,
+             middle: float) -> tuple[np.ndarray, np.ndarray]:
     """Return offsets, and how much body and camera differ at each; both empty without poses."""
-    tried = np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
-    rows = np.flatnonzero(track.known(0.0, REACH_S))
+    tried = middle + np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
+    rows = np.flatnonzero(track.known(middle, REACH_S))
     if len(rows) < LEAST_IMAGES:
-        rows = np.flatnonzero(track.known())
+        rows = np.flatnonzero(track.known(middle))
         tried = tried[[track.known(offset)[rows].all() for offset in tried]]
     if len(rows) < LEAST_IMAGES or not len(tried):
         return np.zeros(0), np.zeros(0)

@@ -29,7 +29,7 @@ from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import (
     camera_poses, CameraPoses, chance_of_pull, with_lens)
 from selfcal_ros.calibration.mounting.clocks import (
-    alike, APART_S, LEAST_IMAGES, LEAST_TIMED, offsets)
+    alike, APART_S, LEAST_IMAGES, LEAST_TIMED, offsets, STEP_S)
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
                                                            WRONG)
 from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
@@ -147,9 +147,9 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     refusal = _too_little(camera, track, poses, facts)
     if refusal is not None:
         return replace(calibration, mount=refusal)
-    known_offset = facts.time_offset
-    tried = [known_offset[0]] if known_offset is not None and track.timed else offsets(
-        camera, track)
+    middle, roughly = facts.time_offset or (0.0, np.inf)
+    # what is stated roughly is looked for about its value
+    tried = [middle] if roughly < STEP_S and track.timed else offsets(camera, track, middle)
     rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
     part, body = camera.chosen(rows), track.at(tried[0], rows)
     meant = what_is_meant(part, track, tried[0], rows) if len(rows) >= LEAST_IMAGES else None
@@ -196,7 +196,8 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
                 facts: MountFacts) -> NoEstimate | None:
     """Return why the poses of the body do not suffice; None where they may."""
-    known = int(track.known().sum())
+    stated = facts.time_offset[0] if facts.time_offset is not None and track.timed else 0.0
+    known = int(track.known(stated).sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
     if known < needed:
         return NoEstimate('too_few_body_poses', needed=needed, found=known, images=len(camera))
@@ -273,7 +274,8 @@ def _clock_is_open(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, fact
                    optimum: Optimum, count: int) -> bool:
     """Tell whether an offset of the clocks far from the one found explains all as well."""
     per_image, kinds = optimum.cost / count, 3 if track.flat else 6
-    for offset in alike(camera, track, optimum.state.offset):
+    middle = 0.0 if facts.time_offset is None else facts.time_offset[0]
+    for offset in alike(camera, track, optimum.state.offset, middle):
         found = _from_start(camera, track, poses, facts, offset)
         if found is None or abs(found[1].state.offset - optimum.state.offset) < APART_S / 2:
             continue
