@@ -35,6 +35,8 @@ PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
 NAMES = (*PLACE, *TURN, 'scale', 'time_offset')
 
 
+#: An axis of the body is its vertical from this cosine on: half a degree.
+UPRIGHT = float(np.cos(np.radians(0.5)))
 #: No part of a mount is larger: metres, radians, a factor, and seconds between two clocks.
 _LARGEST = {'x': 100.0, 'y': 100.0, 'z': 100.0, 'roll': 2 * np.pi, 'pitch': 2 * np.pi,
             'yaw': 2 * np.pi, 'scale': 1000.0, 'time_offset': 1e10}
@@ -173,6 +175,8 @@ class Mount:
     pose_sigmas : tuple of float
         Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body. Of
         odometry they are those for a metre or a radian of the way.
+    camera_frame : str
+        Frame of the images; '' where they name none.
 
     """
 
@@ -191,6 +195,7 @@ class Mount:
     places: tuple[PlaceAlong, ...] = ()
     axis: AxisInCamera | None = None
     pose_sigmas: tuple[float, ...] = ()
+    camera_frame: str = ''
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -199,13 +204,32 @@ class Mount:
 
     @property
     def angles(self) -> dict[str, float]:
-        """Roll, pitch and yaw (rad) against a level camera that looks straight ahead."""
+        """
+        Roll, pitch and yaw (rad) against a level camera that looks straight ahead.
+
+        Where only the turn about the vertical of the body is open, roll and pitch are those that
+        `axis` tells.
+        """
+        if self._upright_in_camera is not None:
+            return dict(zip(TURN, (*_roll_and_pitch(self._upright_in_camera), np.nan)))
         return dict(zip(TURN, mount_angles(self.T_body_camera[:3, :3])))
+
+    @property
+    def _upright_in_camera(self) -> np.ndarray | None:
+        """Where the camera has the vertical of the body, if only the turn about it is open."""
+        known = (self.axis is not None and np.isnan(self.T_body_camera[:3, :3]).any()
+                 and abs(self.axis.axis[2]) > UPRIGHT)
+        return self.axis.in_camera * np.sign(self.axis.axis[2]) if known and self.axis else None
 
     @property
     def angles_sigma(self) -> dict[str, float]:
         """Standard deviations of `angles` (rad); those of `sigma` where one is not estimated."""
-        return sigmas_of_angles(self.angles, self.covariance[3:6, 3:6], self.status)
+        found = sigmas_of_angles(self.angles, self.covariance[3:6, 3:6], self.status)
+        if self._upright_in_camera is not None and self.axis is not None:
+            # small turns about axes of the body are none of a camera whose yaw is open
+            found['pitch'] = self.axis.sigma
+            found['roll'] = self.axis.sigma / max(float(np.cos(self.angles['pitch'])), 1e-9)
+        return found
 
 
 def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:
@@ -225,6 +249,12 @@ def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:
     """
     roll, pitch, yaw = roll_pitch_yaw(rotation @ FORWARD.T).tolist()
     return roll, pitch, yaw
+
+
+def _roll_and_pitch(upright: np.ndarray) -> tuple[float, float]:
+    """Return roll and pitch (rad) of a camera that has the vertical (3,) there."""
+    ahead, left, up = (FORWARD @ upright).tolist()
+    return float(np.arctan2(left, up)), float(np.arctan2(-ahead, np.hypot(left, up)))
 
 
 def mount_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:

@@ -80,9 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                            '(easy_handeye2) are transforms of a camera on a robot, and so is '
                            '.yaml from one of these: tf, of static_transform_publisher)')
     file.add_argument('--camera-frame', type=text, metavar='FRAME',
-                      default='camera_optical_frame',
-                      help='frame of the camera, where INPUT is a result.json (default '
-                           'camera_optical_frame)')
+                      help='frame of the camera, where INPUT is a result.json (default: that of '
+                           'the images, or camera_optical_frame)')
     file.add_argument('--camera', metavar='NAME',
                       help='which of several cameras: cam1, left, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')

@@ -248,8 +248,8 @@ def write_mount(path: Path, result: Calibration, frame: str | None, source: str 
         with open_frames() as frames:
             frame = frames.frame_id
     about = f'{result.software}: {source}' if source else result.software
-    return write_transform(path, stored_mount(result.mount, frame or CAMERA_FRAME, about),
-                           replace=force)
+    return write_transform(path, stored_mount(
+        result.mount, frame or result.mount.camera_frame or CAMERA_FRAME, about), replace=force)
 
 
 def _camera_comments(result: Calibration, source: str) -> list[str]:

@@ -75,7 +75,8 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
     from selfcal_ros.report.rig_colmap import rig_config, rig_config_path
-    from selfcal_ros.report.rig_files import camchain, output_names, rig_camera_yaml, rig_text
+    from selfcal_ros.report.rig_files import (camchain, output_names, rig_camera_yaml, rig_text,
+                                              why_no_camchain)
     for name in OF_ONE_CAMERA:
         if getattr(args, name, None):
             raise ArgumentError(f'--{name.replace("_", "-")} is for a single camera; leave it out '
@@ -112,7 +113,7 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
             cameras = {path: rig_camera_yaml(result, name, reading.description)
                        for name, path in files.items()}
             written += _camera_files(args, cameras, chain, camchain(result, reading.topics), own,
-                                     left_out)
+                                     left_out, why_no_camchain(result))
             written += _for_colmap(of_colmap, rig_config(result), left_out)
             written += _mount_of_first(args, result, left_out)
         written += _accounts(args, result, reading, text, settings.seed)
@@ -128,15 +129,16 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
 
 
 def _camera_files(args: argparse.Namespace, cameras: dict[Path, str], chain: Path,
-                  of_kalibr: str | None, own: set[Path], left_out: list[LeftOut]) -> list[Path]:
+                  of_kalibr: str | None, own: set[Path], left_out: list[LeftOut],
+                  why_not: str) -> list[Path]:
     """Write the file of every camera, and their chain for Kalibr where there is one."""
     from selfcal_ros.cli.outputs import written_or_left_out
     from selfcal_ros.values.output_files import atomic_write
     written: list[Path] = []
     if of_kalibr is None:
         # nobody has asked for it
-        left_out.append(LeftOut('A chain of Kalibr needs metres, all poses, and lenses that '
-                                f'Kalibr knows: {chain} was not written.', EXIT_DONE))
+        left_out.append(LeftOut(f'{chain}, a chain of Kalibr, was not written: '
+                                f'{why_not}.', EXIT_DONE))
     else:
         cameras = {**cameras, chain: of_kalibr}
     for path, camera_file in cameras.items():

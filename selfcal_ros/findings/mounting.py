@@ -136,6 +136,11 @@ MOUNTING: dict[str, Phrase] = {
         'order {truly}, under the names {named}.',
         'In that order the turns of body and camera agree. Programs differ in where they put w.',
         'Put the columns in the order of their names.'),
+    'body_angles_as_vectors': Phrase(
+        'The {count} poses of the body contradict the images. Their rotation vectors rx,ry,rz '
+        'seem to be roll, pitch and yaw.',
+        'Taken as such angles, the turns of body and camera agree.',
+        'Convert roll, pitch and yaw to quaternions qw,qx,qy,qz.'),
     'body_poses_shifted': Phrase(
         'The {count} poses of the body contradict the images. They seem to be those of the image '
         '{which}.',
@@ -192,6 +197,12 @@ MOUNTING: dict[str, Phrase] = {
         'The poses err by as much as the robot turned, so that up and down look alike.',
         'The sense of the turns tells which side of the way is up. Straight parts show the rest.',
         'Drive curves of a few tens of degrees, or state the roll with its sigma.'),
+    'open_on_a_circle': Phrase(
+        'The robot must drive straight parts, or curves of another radius: one circle leaves this '
+        'open.',
+        'On one circle the place along it, the yaw, the scale and the clock make up for each '
+        'other.',
+        'Drive an S: curves to both sides, with a straight part between.'),
     'metric_scale_open': Phrase(
         'The body must move farther than its poses err to show the scale.',
         'Images know no metre. The way of the body gives it.',
@@ -229,6 +240,13 @@ MOUNTING: dict[str, Phrase] = {
         'The camera would sit {distance_m:.3g} m from {body}, which is far for a robot.',
         'Images do not tell metres from millimetres: lengths are as the poses state them.',
         'If positions are in millimetres, state --robot-unit 0.001 (robot_unit of the nodes).'),
+    'mount_upside_down': Phrase(
+        'By these poses the camera hangs upside down on {body} (roll {roll_deg:.0f}°). If it '
+        'stands upright, they are mirrored or inverse: turns to the left must be positive.',
+        'Odometry that counts turns clockwise, y to the right, or inverse poses make an upright '
+        'camera look like that.',
+        'If the camera stands upright, correct the odometry: x forward, y to the left, turns '
+        'counter-clockwise.'),
     'metre_of_odometry': Phrase(
         'Lengths are in metres of the odometry: the scale of its wheels is taken as it is.',
         'Nothing else here knows the metre. Wheels wear, and tyres are softer or harder.',

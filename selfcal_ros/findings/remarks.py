@@ -519,6 +519,11 @@ REMARKS: dict[str, Phrase] = {
         'both poses, and the sigmas allow for either.',
         'A mount was knocked or bends; errors that the images share may look alike.',
         'Check the mounts, and calibrate from the images before or after it.'),
+    'rig_baseline_exact': Phrase(
+        'The baseline is taken as exactly {baseline_m:g} m. Sigmas of places hold no error of it: '
+        'state how well it was measured, as in --baseline {baseline_m:g}:0.001.',
+        'A length without a sigma is held as it is.',
+        'State a sigma beside the length.'),
     'rig_baseline_of_no_use': Phrase(
         'The stated baseline gives no scale: the motion leaves open how far {camera} is from the '
         'first camera.',

@@ -42,7 +42,7 @@ from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
-from selfcal_ros.nodes.mount_publisher import mount_values, MountPublisher
+from selfcal_ros.nodes.mount_publisher import mount_line, mount_values, MountPublisher
 from selfcal_ros.nodes.once_per_image import announcements_of, OncePerImage
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
@@ -225,7 +225,8 @@ class CalibratorNode(Node):
 
     def _take_estimate(self, done: JobResult[EstimateRequest]) -> None:
         """Take a calibration, or the reason why there is none."""
-        request, result, scene = done.job.request, done.value, done.prepared
+        request, scene = done.job.request, done.prepared
+        result = self._mount.named(done.value)
         if not self._session.accept(request, result):
             return
         kept = self._session.calibration
@@ -249,6 +250,8 @@ class CalibratorNode(Node):
             'from {} views'.format(*(v for name, value in zip(
                 ('fx', 'fy', 'cx', 'cy'), result.camera.parameters) for v in (value, sigma[name])),
                 len(result.frames)))
+        if result.mount is not None:
+            self.get_logger().info(in_parameters(mount_line(result.mount, result.findings)))
         self._mount.take(result.mount)
         if scene is not None:
             self._scene.publish(scene)

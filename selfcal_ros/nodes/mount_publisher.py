@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
@@ -26,14 +28,18 @@ import numpy as np
 
 from rclpy.node import Node
 from selfcal_ros.calibration.mount import Floor, Mount, PLACE, TURN
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.report.mounts.transform_files import CAMERA_FRAME, stored_mount
-from selfcal_ros.report.mounts.words import no_mount_sentence
+from selfcal_ros.report.mounts.words import mount_rows, mount_sentence, no_mount_sentence
 
+#: Findings that say that a mount is hardly what a robot has.
+ODD = ('mount_upside_down', 'mount_far_off')
 #: A mount that differs from the published one by fewer of that one's sigmas is no news.
 NEWS_SIGMAS = 1.0
 
@@ -87,6 +93,12 @@ class MountPublisher:
             self._told = mount
             self._send(mount)
 
+    def named(self, result: Calibration | NotCalibrated) -> Calibration | NotCalibrated:
+        """Return a result whose mount names the frame of the camera."""
+        if not (isinstance(result, Calibration) and isinstance(result.mount, Mount)):
+            return result
+        return replace(result, mount=replace(result.mount, camera_frame=self.camera_frame))
+
     def _send(self, mount: Mount) -> None:
         header = header_message(self._node.get_clock().now().nanoseconds, mount.frame,
                                 self._types)
@@ -117,6 +129,17 @@ def _differs(mount: Mount, other: Mount) -> bool:
     moved = mount.T_body_camera[:3, 3] - other.T_body_camera[:3, 3]
     apart = np.abs(np.concatenate([moved, turn]))
     return bool((apart > NEWS_SIGMAS * np.sqrt(np.diag(sigma)) + 1e-9).any())
+
+
+def mount_line(mount: Mount | NoEstimate, findings: Iterable[Finding] = ()) -> str:
+    """Return a mount for the log, in a line: its numbers, what is open, and what is odd."""
+    if not isinstance(mount, Mount):
+        return no_mount_sentence(mount)
+    known = [f'{row.name} {row.value} ± {row.sigma or 0} {row.unit}' for row in mount_rows(mount)
+             if row.value and row.name in (*PLACE, *TURN)]
+    odd = [one.sentence for one in findings if one.kind in ODD]
+    return ' '.join(filter(None, (mount_sentence(mount), f'{", ".join(known)}.' if known else '',
+                                  *odd)))
 
 
 def mount_values(mount: Mount | NoEstimate | None) -> dict[str, Any]:

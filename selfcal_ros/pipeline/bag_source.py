@@ -180,7 +180,7 @@ class BagSource(FrameSource):
                                  f'CompressedImage); {there}; record a topic of images.')
             if len(filled) > 1:
                 raise InputError(f'{self.path} has {len(filled)} image topics, choose one with '
-                                 f'--topic: {listing}.')
+                                 f'--topic, or several with --cameras: {listing}.')
             chosen = [c for c in images if c.topic == filled[0]]
         if not sum(c.msgcount for c in chosen):
             raise InputError(f'The topic {chosen[0].topic} of {self.path} holds no messages.')

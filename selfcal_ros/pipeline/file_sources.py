@@ -104,10 +104,12 @@ class ImageFolderSource(FrameSource):
         """Say what the folder holds instead of images."""
         if not entries:
             return f'The folder {self.path} is empty; give one that holds images or a bag.'
-        inner = next((e for e in sorted(entries) if e.is_dir() and any(
-            f.suffix.lower() in IMAGE_SUFFIXES for f in e.iterdir())), None)
-        if inner is not None:
-            return f'The folder {self.path} holds no images itself; give {inner} instead.'
+        inner = [e for e in sorted(entries) if e.is_dir() and any(
+            f.suffix.lower() in IMAGE_SUFFIXES for f in e.iterdir())]
+        if inner:
+            more = ('' if len(inner) == 1 else ', or name folders of cameras that move together: '
+                    f'--cameras {",".join(one.name for one in inner[:4])}')
+            return f'The folder {self.path} holds no images itself; give {inner[0]} instead{more}.'
         names = ', '.join(sorted(e.name for e in entries)[:4])
         others = 'only' if len(entries) == 1 else f'{len(entries)} other entries, such as'
         return (f'The folder {self.path} holds no images ({", ".join(IMAGE_SUFFIXES)}) and no '

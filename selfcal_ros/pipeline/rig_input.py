@@ -142,6 +142,9 @@ def _in_folder(path: str, words: list[str]) -> list[RigInput]:
 def _of_bag(path: str, words: list[str]) -> list[RigInput]:
     """Find the topics of a bag that cameras are named by."""
     if not is_bag(Path(path)):
+        if not Path(path).exists():
+            raise ArgumentError(f'{path} does not exist, so it is no bag and holds no folder for '
+                                'each camera of --cameras; check the path.')
         raise ArgumentError(f'{path} is no bag, and holds no folder for each camera of '
                             '--cameras: give one INPUT for each.')
     topics = image_topics(Path(path))

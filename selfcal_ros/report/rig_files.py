@@ -104,10 +104,7 @@ def camchain(rig: RigCalibration, topics: Mapping[str, str] | None = None) -> st
     None where it could not hold them: poses that are open, lengths that are not metres, or a lens
     that Kalibr does not know.
     """
-    if (rig.unit != 'm' or any('unobservable' in pose.status.values()
-                               for pose in rig.poses.values())
-            or not all(holds(one.camera) and abs(one.camera.K[0, 1]) < 1e-12
-                       for one in rig.cameras.values())):
+    if why_no_camchain(rig):
         return None
     text, before = f'# {rig.software}\n', None
     for k, (name, one) in enumerate(rig.cameras.items()):
@@ -119,6 +116,23 @@ def camchain(rig: RigCalibration, topics: Mapping[str, str] | None = None) -> st
             entry += f'  T_cn_cnm1:\n{rows}\n'
         text, before = text + entry, name
     return text
+
+
+def why_no_camchain(rig: RigCalibration) -> str:
+    """Say why `camchain` is None, and what would help; '' where it is not."""
+    for name, pose in rig.poses.items():
+        if 'unobservable' in pose.status.values():
+            return f'part of the pose of {name} is open'
+    if rig.unit != 'm':
+        return 'lengths are in steps of the path, and --baseline gives metres'
+    for name, one in rig.cameras.items():
+        if not holds(one.camera):
+            return (f'Kalibr has no counterpart of the lens {one.camera.model} of {name}'
+                    + (' with its k3; --lens radtan has none'
+                       if one.camera.distortion_as('plumb_bob') is not None else ''))
+        if abs(one.camera.K[0, 1]) >= 1e-12:
+            return f'Kalibr knows no skew, and {name} has one'
+    return ''
 
 
 def rig_to_dict(result: RigCalibration | NotCalibrated) -> dict[str, Any]:
@@ -180,8 +194,10 @@ def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> 
             shown, spread = with_sigma(value, sigma_here)
             lines.append(f'{free:>6} {shown:>10} ± {spread or "0":>7} {what}')
     if rig.unit != 'm':
-        lines += ['', 'Lengths are in steps of the path; --baseline METRES gives metres, and so '
-                  'does --robot.']
+        # who has given one is told why it is of no use
+        given = any(one.kind == 'rig_baseline_of_no_use' for one in rig.findings)
+        lines += ['', 'Lengths are in steps of the path' + (
+            '.' if given else '; --baseline METRES gives metres, and so does --robot.')]
     lines += mount_lines(rig.cameras[first], mount_facts)
     return '\n'.join([*lines, '', *rig.notes])
 

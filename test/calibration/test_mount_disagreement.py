@@ -99,7 +99,14 @@ def mirrored(poses):
     return replace(poses, position=poses.position * [1, -1, 1])
 
 
+def angles(poses):
+    """Return poses whose roll, pitch and yaw were read as rotation vectors."""
+    own = Rotation.from_matrix(poses.rotation).as_euler('xyz')
+    return replace(poses, rotation=Rotation.from_rotvec(own).as_matrix())
+
+
 @pytest.mark.parametrize('spoil, kind, told', [
+    (angles, 'body_angles_as_vectors', 'seem to be roll, pitch and yaw'),
     (shifted, 'body_poses_shifted', 'image before'),
     (permuted, 'body_quaternions_permuted', 'order x, y, z, w, under the names w, x, y, z'),
     (mirrored, 'body_positions_mirrored', 'y has the wrong sign')])
@@ -127,3 +134,15 @@ def test_a_stated_sigma_that_is_ten_times_too_small_is_named(seed):
     stated, = refused.values['stated']
     shown, = refused.values['shown']
     assert stated == '0.1 mm' and float(shown.split()[0]) == pytest.approx(1.0, rel=0.4)
+
+
+def test_mirrors_of_a_plane_are_told_together():
+    """Odometry whose y points to the right was said to have x and y swapped, by chance."""
+    rng = np.random.default_rng(2)
+    path = worlds.drive(0.5 * np.arange(22))
+    world = worlds.World(*path, worlds.mount_of(rng), True)
+    poses = worlds.odometry(rng, *path, (0.004, 0.001, 0.01), frames=np.arange(22))
+    mount = mount_camera(worlds.calibrated(rng, world), mirrored(poses)).mount
+    assert not mount and mount.kind == 'body_positions_mirrored'
+    for how in ('y has the wrong sign', 'x and y are swapped'):
+        assert how in str(mount)

@@ -120,6 +120,21 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     assert _in_sigmas(mount, errors)[0] < 24.3
 
 
+def test_clocks_that_are_an_hour_apart_are_no_hindrance_once_it_is_stated():
+    rng = np.random.default_rng(5)
+    images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)
+    world = worlds.World(*worlds.drive(images - 0.037), worlds.mount_of(rng), True)
+    poses = worlds.odometry(rng, *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    stamps = {k: int(round((t + 3600) * 1e9)) for k, t in enumerate(images)}
+    calibration = worlds.calibrated(rng, world)
+    assert not mount_camera(calibration, poses, stamps).mount
+    mount = mount_camera(calibration, poses, stamps, MountFacts(time_offset=(3600.0, 0.2))).mount
+    errors = worlds.mount_errors(mount, world.T_body_camera,
+                                 worlds.true_scale(world, calibration), 3600.037)
+    assert mount.sigma['time_offset'] < 0.035 and _in_sigmas(mount, errors)[0] < 24.3
+
+
 def test_a_plane_that_is_driven_on_goes_along_with_the_camera():
     # a plane that tilted would lift views whose places are hardly known: as if odometry knew K
     rng = np.random.default_rng(6)

@@ -24,8 +24,10 @@ from selfcal_ros.calibration.bundle.rig import Rig
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.rigs.start import observations_of, seen_ahead, with_all_points
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.synthetic.paths import drive_path
 from selfcal_ros.synthetic.rig_scenes import (driven_path, hand_path, knocked_path, late_path,
                                               rig_scene)
+from selfcal_ros.synthetic.scenes import pitched_mount, planar_poses
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
 #: Of what tells that a rig was not rigid, beside a result or instead of one.
@@ -64,6 +66,19 @@ def test_a_late_camera_is_told_with_its_time_and_is_in_the_sigmas(share):
         assert np.isclose(late_ms, 1e3 * 0.25 * share, rtol=0.2)
 
 
+@pytest.mark.parametrize('seed, share', [(3, 0.03), (4, 0.22)])
+def test_a_late_camera_on_an_s_is_not_called_knocked(seed, share):
+    """Left at one rate and right at another, lateness is one pose before the bend, one after."""
+    rng = np.random.default_rng(seed)
+    places, heading = drive_path(22)
+    path = planar_poses(pitched_mount(np.radians(20.0)), heading, places)
+    scene = rig_scene(rng, path, True, points=300, of_second=late_path(path, share),
+                      noise_px=0.05)
+    result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS)
+    kinds = {one.kind for one in _told(result)} if result else {result.kind}
+    assert kinds and not kinds & {'rig_knocked', 'rig_pose_changed'}
+
+
 def test_a_refusal_names_the_late_camera():
     rng = np.random.default_rng(0)
     path = hand_path(rng, 14)
@@ -87,6 +102,15 @@ def test_a_knock_is_told_with_its_frame_and_both_poses_are_in_the_sigmas(overlap
     for T in (before, np.linalg.inv(knock) @ before):
         off = _off(result, scene, T)
         assert off[np.isfinite(off)].max() < 3.5
+
+
+def test_a_knock_of_less_than_a_tenth_of_a_pixel_is_in_the_sigmas_alone():
+    rng = np.random.default_rng(0)
+    path = driven_path(24)
+    scene = rig_scene(rng, path, True, points=300, noise_px=0.02,
+                      of_second=knocked_path(path, np.array([0.0, 8e-5, 0.0]), 12))
+    result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS)
+    assert result and not _told(result)
 
 
 def test_a_refusal_names_the_knocked_camera_and_the_frame():

@@ -147,6 +147,16 @@ def _errors(result, scene):
     return np.r_[focal, np.r_[place, turn] / list(pose.sigma.values())]
 
 
+def test_a_baseline_without_a_sigma_is_told_to_be_exact():
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
+                      overlap=True, points=120)
+    for sigma, told in ((0.0, True), (0.001, False)):
+        result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS,
+                               baseline=(scene.baseline_m, sigma))
+        found = [one.sentence for one in result.findings if one.kind == 'rig_baseline_exact']
+        assert bool(found) == told and all('exactly' in one for one in found)
+
+
 def test_cameras_side_by_side_are_found_with_their_scale():
     scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
                       overlap=True, points=120)

@@ -29,11 +29,13 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros import CameraFacts
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs, RigInput
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
+from selfcal_ros.report.rig_files import why_no_camchain
 from selfcal_ros.synthetic.rig_scenes import hand_path, rig_scene
 import yaml
 
@@ -118,6 +120,14 @@ def test_the_chain_of_kalibr_has_the_pose_between_the_cameras(calibrated):
     T = np.array(content['rig']['right']['T_rig_camera'])
     assert np.allclose(document['cam1']['T_cn_cnm1'], np.linalg.inv(T))
     assert document['cam1']['rostopic'] == '/right/image_raw'
+
+
+def test_why_there_is_no_chain_of_kalibr_is_told():
+    camera = Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.1, 0.05, 0, 0, 0.01], 640, 480)
+    path, metres = (SimpleNamespace(unit=unit, poses={}, cameras={
+        'left': SimpleNamespace(camera=camera)}) for unit in ('path', 'm'))
+    assert '--baseline' in why_no_camchain(path)
+    assert 'plumb_bob of left with its k3; --lens radtan' in why_no_camchain(metres)
 
 
 def test_the_rig_of_colmap_leads_from_the_rig_to_each_camera(calibrated):
@@ -258,6 +268,11 @@ def test_what_is_wrong_is_one_sentence(words, reason, capsys, tmp_path, monkeypa
     assert status == 2
     said = capsys.readouterr().err
     assert reason in said and len(said.strip().splitlines()) == 1
+
+
+def test_an_input_that_is_not_there_is_told_as_such(tmp_path):
+    with pytest.raises(ArgumentError, match='does not exist'):
+        rig_inputs([str(tmp_path / 'away')], '/left/image_raw,/right/image_raw')
 
 
 def test_one_folder_may_hold_a_folder_of_images_for_each_camera(tmp_path):

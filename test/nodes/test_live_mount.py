@@ -29,6 +29,8 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes import mount_publisher
 from selfcal_ros.nodes.calibrator_node import CalibratorNode
@@ -168,6 +170,7 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, sou
     values = {v.key: v.value for v in diagnostics[-1].status[0].values}
     assert int(values['robot poses dropped']) >= VIEWS
     assert 'not finite' in values['robot poses last dropped']
+    assert found['camera_frame'] == 'eye'
     assert float(values['mount x']) == pytest.approx(found['T_body_camera'][0][3], abs=1e-4)
 
 
@@ -233,6 +236,18 @@ def a_mount(x, z_known=True):
     if not z_known:
         covariance[2, 2] = np.inf
     return Mount('base_link', pose, covariance, status, 1.0, 0.0, {}, 20, 0, 1e-3, 1e-3)
+
+
+def test_the_log_has_a_mount_in_a_line():
+    line = mount_publisher.mount_line(a_mount(0.3, z_known=False))
+    assert line.startswith('The camera on base_link, from 20 poses') and '\n' not in line
+    odd = mount_publisher.mount_line(a_mount(0.3), [
+        Finding('metre_of_odometry'),
+        Finding('mount_upside_down', body='base_link', roll_deg=180.0)])
+    assert odd.endswith('turns to the left must be positive.') and 'wheels' not in odd
+    assert 'leaves z open' in line and 'x 0.300 ± 0.010 m' in line and 'yaw' in line
+    refused = mount_publisher.mount_line(NoEstimate('body_stood_still', body='base_link'))
+    assert refused.startswith('Where the camera sits is not known')
 
 
 def test_a_mount_goes_to_tf_once_and_again_only_where_it_is_news(monkeypatch):

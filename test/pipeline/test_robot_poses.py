@@ -147,7 +147,8 @@ def test_messages_of_rclpy_are_read_like_those_of_rosbags():
 
 
 @pytest.mark.parametrize('name, words', [
-    ('/odometry', ('/odometry', '/odom (21)', '/pose (21)', '/tf:FIXED:BODY')),
+    ('/odometry', ('/odometry', '/odom (21)', '/pose (21)', '/tf:FIXED:BODY',
+                   '(frames base_link, lift, odom, tip)')),
     ('/image', ('carries sensor_msgs/msg/Image', '/odom (21)')),
     ('/tf:odom:wheel', ('no frame wheel', 'base_link, lift, odom, tip')),
     ('/tf:base_link:lift', ('moves in TF',))])
@@ -213,6 +214,21 @@ def test_a_table_is_read_by_stamps_frames_and_names(folder, tmp_path):
     assert (found.stamps_ns == stamps(3)).all()
 
 
+def test_cells_may_be_parted_by_semicolons(folder, tmp_path):
+    found = read(folder, table(tmp_path, 'frame;x;y;theta\n0;0;0;0\n2;1;2;0.3\n'))
+    assert found.frames.tolist() == [0, 2] and np.allclose(found.position[1], [1, 2, 0])
+
+
+def test_clocks_whose_offset_is_stated_may_be_far_apart(folder, tmp_path):
+    source = RobotSource.parse(table(tmp_path, HEAD + rows().replace('1700000000', '1699996400')))
+    beside = read_robot(folder, source, MountFacts(time_offset=(3600.0, 0.1)))
+    assert (beside.poses.stamps_ns == stamps(3) - 3600 * 10**9).all()
+
+
+def test_the_frame_of_the_images_is_known_beside_the_poses(bag):
+    assert read_robot(bag, RobotSource.parse('/pose'), MountFacts()).camera_frame == 'odom'
+
+
 MIRROR = 'frame,tx,ty,tz,' + ','.join(f'r{i}{j}' for i in '123' for j in '123') + '\n'
 
 
@@ -225,6 +241,10 @@ MIRROR = 'frame,tx,ty,tz,' + ','.join(f'r{i}{j}' for i in '123' for j in '123') 
     *((HEAD + rows(scale=scale), ('millimetres', '--robot-unit 0.001')) for scale in (8e2, 1e4)),
     (HEAD + rows().replace('1700000000', '1600000000'), ('end 100000000 s before', 'images from')),
     (HEAD + rows().replace('1700000000', '1700000009'), ('after the images end',)),
+    (HEAD + rows().replace('1700000000', '1699996400'), ('end 3600 s before', 'time_offset=')),
+    (HEAD + ''.join(f'{1700000000000 + 50 * k},{k},0,0,1,0,0,0\n' for k in range(3)),
+     ('hardly nanoseconds', '50 ns apart', 'stamp_s')),
+    (HEAD.replace('stamp_ns', 't') + rows(), ('it has the columns t, tx', 'stamp_ns')),
     (HEAD.replace('qw', 'w') + rows(), ('columns', 'qw,qx,qy,qz')),
     (HEAD.replace('stamp_ns', 'number') + rows(), ('stamp_ns, frame or image',)),
     (HEAD.replace('stamp_ns', 'image') + rows().replace('17000', 'x'), ('names no image',)),

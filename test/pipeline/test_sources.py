@@ -244,7 +244,7 @@ def test_the_two_codings_of_image_transport_are_one_camera(tmp_path, raw, compre
             assert source.topic == topic and not source.losses()
     # another camera is another camera
     two = write_bag(tmp_path / 'two', [*both, ('/right', IMAGE, 9, message(images()[0]))])
-    assert 'has 2 image topics, choose one' in refusal(two)
+    assert 'has 2 image topics, choose one' in refusal(two) and '--cameras' in refusal(two)
 
 
 def test_a_topic_without_its_namespace_or_with_a_slip_is_answered_with_what_is_there(tmp_path):

@@ -95,7 +95,7 @@ def test_words_say_what_is_known_and_what_would_help(calibration):
     text = '\n'.join(mount_lines(placed(calibration, 'z')))
     assert 'leaves z open' in text and 'unobservable: State it.' in text
     assert '17.189' in text and '60 poses of the robot (2 set aside)' in text
-    assert '0.6' not in text
+    assert '0.6' not in text and '1.0e-03' not in text and '0.2500 ±    0.0010 m' in text
     assert 'by the stated time offset' in '\n'.join(
         mount_lines(placed(calibration), frozenset({'time_offset'})))
     refused = replace(calibration, mount=NoEstimate('note', text='The wheels stood still.'))
@@ -196,6 +196,8 @@ def test_what_a_file_says_of_itself_stays_through_others(tmp_path, name):
 def test_what_is_open_is_written_nowhere(tmp_path):
     with pytest.raises(ArgumentError, match='z of the mount is not observable.*--mount-fact z='):
         stored_mount(mount(['z']), 'camera')
+    with pytest.raises(ArgumentError, match='x, y and z of the mount are not .* or state each: '):
+        stored_mount(mount(['x', 'y', 'z']), 'camera')
     with pytest.raises(ArgumentError, match='.urdf, .yaml'):
         kind_of_name(tmp_path / 'mount.xyz')
     broken = tmp_path / 'a.calib'
@@ -237,6 +239,11 @@ def test_files_are_converted_and_compared_on_the_command_line(calibration, tmp_p
     b.write_text(result_to_json(placed(calibration, 'z')), encoding='utf-8')
     assert selfcal('convert', a, c, '--camera-frame', 'front') == 0
     assert 'front on base_link' in capsys.readouterr().out and c.is_file()
+    named = replace(calibration, mount=replace(mount(), camera_frame='rear_optical'))
+    (tmp_path / 'named.json').write_text(result_to_json(named), encoding='utf-8')
+    assert problems(json.loads(result_to_json(named)), SCHEMA) == []
+    assert selfcal('convert', tmp_path / 'named.json', tmp_path / 'named.urdf') == 0
+    assert 'rear_optical on base_link' in capsys.readouterr().out
     assert selfcal('compare', a, b) == 0
     out = capsys.readouterr().out
     assert 'fx' in out and '0.000 degrees apart' in out

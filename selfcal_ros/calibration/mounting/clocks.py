@@ -31,9 +31,12 @@ _MINIMA = 3
 LEAST_IMAGES = 4
 #: A drive that has only begun fits several clocks.
 LEAST_TIMED = 10
+#: Offsets this far from each other, seconds, whose turns and steps differ by a factor of e at
+#: most, are asked whether they explain all as well.
+APART_S, NEARLY = 0.1, 1.0
 
 
-def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
+def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[float]:
     """
     Return offsets at which body and camera turned and moved alike, the best first.
 
@@ -45,6 +48,8 @@ def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
     camera : CameraPoses
     track : BodyTrack
         Of the same images.
+    middle : float
+        About which offsets are tried, seconds.
 
     Returns
     -------
@@ -54,19 +59,60 @@ def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
     """
     if not track.timed:
         return [0.0]
-    tried = np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
-    rows = np.flatnonzero(track.known(0.0, REACH_S))
-    if len(rows) < LEAST_IMAGES:
-        rows = np.flatnonzero(track.known())
-        tried = tried[[track.known(offset)[rows].all() for offset in tried]]
-    if len(rows) < LEAST_IMAGES or not len(tried):
+    tried, cost = _profile(camera, track, middle)
+    if not len(tried):
         return []
-    part = camera.chosen(rows)
-    cost = np.array([_disagreement(part, track, offset, rows) for offset in tried])
     padded = np.concatenate([[np.inf], cost, [np.inf]])
     lowest = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
     best = lowest[np.argsort(cost[lowest], kind='stable')][:_MINIMA]
     return [float(one) for one in tried[best]]
+
+
+def alike(camera: CameraPoses, track: BodyTrack, found: float,
+          middle: float = 0.0) -> list[float]:
+    """
+    Return offsets far from the one that was found at which turns and steps agree nearly as well.
+
+    Where the robot turns evenly, a later instant looks like an earlier one. Errors of the poses
+    choose among them then, and the curvature of the misfit knows nothing of the others.
+
+    Parameters
+    ----------
+    camera : CameraPoses
+    track : BodyTrack
+        Of the same images.
+    found : float
+        Seconds.
+    middle : float
+        See `offsets`.
+
+    Returns
+    -------
+    list of float
+        Seconds, the best first, `APART_S` from each other.
+
+    """
+    tried, cost = _profile(camera, track, middle)
+    chosen: list[float] = []
+    for k in np.argsort(cost, kind='stable'):
+        if cost[k] < cost.min() + NEARLY and all(
+                abs(tried[k] - one) > APART_S for one in (found, *chosen)):
+            chosen.append(float(tried[k]))
+    return chosen
+
+
+def _profile(camera: CameraPoses, track: BodyTrack,
+             middle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return offsets, and how much body and camera differ at each; both empty without poses."""
+    tried = middle + np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
+    rows = np.flatnonzero(track.known(middle, REACH_S))
+    if len(rows) < LEAST_IMAGES:
+        rows = np.flatnonzero(track.known(middle))
+        tried = tried[[track.known(offset)[rows].all() for offset in tried]]
+    if len(rows) < LEAST_IMAGES or not len(tried):
+        return np.zeros(0), np.zeros(0)
+    part = camera.chosen(rows)
+    return tried, np.array([_disagreement(part, track, offset, rows) for offset in tried])
 
 
 def _disagreement(camera: CameraPoses, track: BodyTrack, offset: float,

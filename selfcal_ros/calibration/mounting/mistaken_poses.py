@@ -15,8 +15,9 @@
 Common mistakes in lists of poses: which of them, once undone, lets the images agree.
 
 The usual mistakes are few. Poses are inverted, or one image late or early; w of the quaternion
-stands in the wrong column; an axis of the positions is mirrored or swapped. Each is undone, and
-the closed forms tell whether the images agree then. The answer is clear either way.
+stands in the wrong column, or roll, pitch and yaw for a rotation vector; an axis of the
+positions is mirrored or swapped. Each is undone, and the closed forms tell whether the images
+agree then. The answer is clear either way, but that in a plane all mirrors are alike.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 TIMES = 5.0
 #: Without so many images anything may agree.
 ENOUGH_IMAGES = 6
+#: Mirrors that leave up to so many times as much are told together.
+ALIKE = 1.2
 _AXES = 'xyz'
 
 
@@ -73,7 +76,15 @@ def what_is_meant(camera: CameraPoses, track: BodyTrack, offset: float, rows: np
         if (turns or (ways and why.kind == 'body_poses_inverse')
                 or (ways and why.kind == 'body_positions_mirrored' and given[0] < 2 * AGREES)):
             found.append((sum(left), why))
-    return min(found, key=lambda one: one[0])[1] if found else None
+    if not found:
+        return None
+    left_over, best = min(found, key=lambda one: one[0])
+    if best.kind != 'body_positions_mirrored':
+        return best
+    # in a plane all mirrors do the same, but for a turn of the fixed frame
+    alike = [why.values['how'] for size, why in found
+             if why.kind == best.kind and size < ALIKE * left_over]
+    return NoEstimate(best.kind, count=len(camera), how=', or '.join(dict.fromkeys(alike)))
 
 
 def _alternatives(camera: CameraPoses, track: BodyTrack, body: BodyAt, rows: np.ndarray,
@@ -89,6 +100,9 @@ def _alternatives(camera: CameraPoses, track: BodyTrack, body: BodyAt, rows: np.
         yield camera, replace(body, rotation=Rotation.from_quat(
             np.column_stack(quaternion)).as_matrix()), NoEstimate(
                 'body_quaternions_permuted', count=count, named=named, truly=truly)
+    for angles in _as_angles(body.rotation):
+        yield camera, replace(body, rotation=angles), NoEstimate('body_angles_as_vectors',
+                                                                 count=count)
     for step, which in ((1, 'before'), (-1, 'after')):
         known, other = track.of_neighbours(rows, step)
         yield camera.chosen(np.flatnonzero(known)), other, NoEstimate(
@@ -102,6 +116,26 @@ def _alternatives(camera: CameraPoses, track: BodyTrack, body: BodyAt, rows: np.
         yield camera, replace(body, position=body.position[:, swapped]), NoEstimate(
             'body_positions_mirrored', count=count,
             how=f'{_AXES[k - 1]} and {name} are swapped')
+
+
+def _as_angles(rotation: np.ndarray) -> list[np.ndarray]:
+    """
+    Return turns (V, 3, 3) whose roll, pitch and yaw were taken for rotation vectors.
+
+    A vector and the one of the other sense are the same turn, but not the same angles. So the
+    first pose is tried with both, and each other with the one that is nearer to the pose before.
+    """
+    vectors = Rotation.from_matrix(rotation).as_rotvec()
+    length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
+    both = [Rotation.from_euler('xyz', one).as_matrix()
+            for one in (vectors, vectors * (1 - 2 * np.pi / length))]
+    found = []
+    for first in both:
+        chosen = [first[0]]
+        for pair in zip(both[0][1:], both[1][1:]):
+            chosen.append(max(pair, key=lambda one: float((one * chosen[-1]).sum())))
+        found.append(np.array(chosen))
+    return found
 
 
 def _best(camera: CameraPoses, body: BodyAt) -> tuple[float, float]:

@@ -28,7 +28,8 @@ from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import (
     camera_poses, CameraPoses, chance_of_pull, with_lens)
-from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
+from selfcal_ros.calibration.mounting.clocks import (
+    alike, APART_S, LEAST_IMAGES, LEAST_TIMED, offsets, STEP_S)
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
                                                            WRONG)
 from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
@@ -65,6 +66,9 @@ MOST_DRIFT_RAD = 0.05
 #: Places of the poses are late behind their turns where that shows by so many sigmas, and is
 #: more than this, seconds.
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
+#: Two offsets of the clocks meet other errors of the poses. They are told apart where twice the
+#: logarithm of the likelihood differs by so many sigmas of what that makes by chance.
+TOLD_APART = 3.0
 #: Poses that are right change the camera by as much with this chance: three sigmas.
 PULLED = 0.0027
 #: No camera sits so far from the middle of its robot; with millimetres for metres one does.
@@ -143,9 +147,9 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     refusal = _too_little(camera, track, poses, facts)
     if refusal is not None:
         return replace(calibration, mount=refusal)
-    known_offset = facts.time_offset
-    tried = [known_offset[0]] if known_offset is not None and track.timed else offsets(
-        camera, track)
+    middle, roughly = facts.time_offset or (0.0, np.inf)
+    # what is stated roughly is looked for about its value
+    tried = [middle] if roughly < STEP_S and track.timed else offsets(camera, track, middle)
     rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
     part, body = camera.chosen(rows), track.at(tried[0], rows)
     meant = what_is_meant(part, track, tried[0], rows) if len(rows) >= LEAST_IMAGES else None
@@ -174,6 +178,9 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
         if abs(ratio - 1) > MOST_APART:
             return replace(calibration, mount=NoEstimate('metres_differ', ratio=ratio))
     mount = _mount(part, poses, facts, adjustment, optimum, rows)
+    if mount.status['time_offset'] == 'estimated' and _clock_is_open(
+            camera, BodyTrack(poses, camera.frames, stamps_ns), poses, facts, optimum, len(rows)):
+        mount = _without_clock(mount)
     if other is not None:
         mount = _in_either_metre(mount, optimum)
     findings = _findings(mount, track, facts, optimum)
@@ -189,7 +196,8 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
                 facts: MountFacts) -> NoEstimate | None:
     """Return why the poses of the body do not suffice; None where they may."""
-    known = int(track.known().sum())
+    stated = facts.time_offset[0] if facts.time_offset is not None and track.timed else 0.0
+    known = int(track.known(stated).sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
     if known < needed:
         return NoEstimate('too_few_body_poses', needed=needed, found=known, images=len(camera))
@@ -260,6 +268,33 @@ def _with_lag(adjustment: Adjustment, start: State, errors: PoseErrors,
         adjustment = adjustment.anchored(optimum.state.offset)
         optimum = adjustment.optimum(optimum.state, errors)
     return adjustment, optimum
+
+
+def _clock_is_open(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
+                   optimum: Optimum, count: int) -> bool:
+    """Tell whether an offset of the clocks far from the one found explains all as well."""
+    per_image, kinds = optimum.cost / count, 3 if track.flat else 6
+    middle = 0.0 if facts.time_offset is None else facts.time_offset[0]
+    for offset in alike(camera, track, optimum.state.offset, middle):
+        found = _from_start(camera, track, poses, facts, offset)
+        if found is None or abs(found[1].state.offset - optimum.state.offset) < APART_S / 2:
+            continue
+        images = len(found[2])
+        worse = (found[1].cost / images - per_image) * min(images, count)
+        # n log s² of a variance from n misfits has the variance 2 n, and there are two
+        if worse < TOLD_APART * np.sqrt(4 * kinds * min(images, count)):
+            return True
+    return False
+
+
+def _without_clock(mount: Mount) -> Mount:
+    """Return a mount that does not know the offset of the clocks."""
+    covariance, index = mount.covariance.copy(), NAMES.index('time_offset')
+    covariance[index], covariance[:, index] = 0, 0
+    covariance[index, index] = np.inf
+    return replace(mount, covariance=covariance, time_offset_s=np.nan,
+                   status={**mount.status, 'time_offset': 'unobservable'},
+                   missing={**mount.missing, 'time_offset': Finding('time_offset_open').sentence})
 
 
 def _near_origin(near: Adjustment, lost: np.ndarray, start: State, errors: PoseErrors) -> Optimum:
@@ -347,7 +382,7 @@ def _mount(camera: CameraPoses, poses: BodyPoses, facts: MountFacts, adjustment:
     """Put an optimum in the form of a result."""
     state, track = optimum.state, adjustment.track
     body = track.at(state.offset, rows)
-    turns = pairs_of(camera, body).body_turn
+    pairs = pairs_of(camera, body)
     status = degrees_of_freedom(optimum, adjustment.free, track, facts)
     either = None
     angles = {status[name] for name in ANGLES}
@@ -377,7 +412,8 @@ def _mount(camera: CameraPoses, poses: BodyPoses, facts: MountFacts, adjustment:
         scale = np.nan
     offset = state.offset if status['time_offset'] != 'unobservable' else np.nan
     return Mount(poses.body_frame, pose, covariance, status, scale, float(offset),
-                 missing_motion(status, track, turns, either is not None), len(rows),
+                 missing_motion(status, track, pairs.body_turn, either is not None,
+                                pairs.body_move), len(rows),
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
                  places=places, axis=axis, pose_sigmas=optimum.errors.by_component)
 
@@ -417,6 +453,10 @@ def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimu
     distance_m = float(np.linalg.norm(np.nan_to_num(mount.T_body_camera[:3, 3])))
     if distance_m > FAR_M:
         found.append(Finding('mount_far_off', distance_m=distance_m, body=mount.frame))
+    roll = mount.angles['roll']
+    if track.odometry and facts.roll is None and abs(roll) > np.pi / 2:
+        found.append(Finding('mount_upside_down', body=mount.frame,
+                             roll_deg=float(np.degrees(roll))))
     if track.odometry and facts.scale is None:
         found.append(Finding('metre_of_odometry'))
     return tuple(found)

@@ -44,6 +44,8 @@ UPRIGHT = 5.0
 #: Sigma along a motion that is not seen, in limits; and where nobody says how the camera's poses
 #: err, so that an estimate may have run away along it.
 _UNSEEN, _RUN_AWAY = 10.0, 100.0
+#: A curve turns by more than this, and has a larger radius than a robot that turns on the spot.
+LEAST_CURVE_RAD, LEAST_RADIUS_M = np.radians(10.0), 0.1
 _COLUMNS = np.r_[T, TURN, SCALE, OFFSET]
 _LIMITS = np.array([LIMIT_M] * 3 + [LIMIT_RAD] * 3 + [LIMIT_SCALE, LIMIT_S])
 
@@ -233,7 +235,7 @@ def _by_crossing(Q: np.ndarray, W: np.ndarray) -> np.ndarray:
 
 
 def missing_motion(status: dict[str, Status], track: BodyTrack, turns: np.ndarray,
-                   slight: bool = False) -> dict[str, str]:
+                   slight: bool = False, moves: np.ndarray | None = None) -> dict[str, str]:
     """
     Say which motion or fact would show what is open.
 
@@ -245,6 +247,8 @@ def missing_motion(status: dict[str, Status], track: BodyTrack, turns: np.ndarra
         Of the body between images, in its own axes (rad).
     slight : bool
         The poses err by as much as the body turned.
+    moves : ndarray, shape (m, 3), optional
+        Of the body between images, metres.
 
     Returns
     -------
@@ -254,10 +258,13 @@ def missing_motion(status: dict[str, Status], track: BodyTrack, turns: np.ndarra
     about = np.linalg.norm(turns, axis=0) / np.sqrt(max(len(turns), 1))
     upright = track.flat or about[2] > UPRIGHT * np.hypot(about[0], about[1])
     told = {}
+    circle = upright and moves is not None and _is_circle(status, turns, moves)
     for name, verdict in status.items():
         if verdict != 'unobservable':
             continue
-        if slight and name in ANGLES:
+        if circle and name in ('x', 'y', 'yaw', 'scale'):
+            finding = Finding('open_on_a_circle')
+        elif slight and name in ANGLES:
             finding = Finding('turn_within_errors')
         elif name == 'z' and upright:
             finding = Finding('height_open')
@@ -271,3 +278,10 @@ def missing_motion(status: dict[str, Status], track: BodyTrack, turns: np.ndarra
             finding = Finding('time_offset_open')
         told[name] = finding.sentence
     return told
+
+
+def _is_circle(status: dict[str, Status], turns: np.ndarray, moves: np.ndarray) -> bool:
+    """Tell whether a vehicle drove one curve that leaves all but roll and pitch open."""
+    turned, way = np.abs(turns[:, 2]).sum(), np.linalg.norm(moves, axis=1).sum()
+    return bool(status['yaw'] == status['scale'] == 'unobservable' and turned > LEAST_CURVE_RAD
+                and way > LEAST_RADIUS_M * turned)

@@ -244,6 +244,8 @@ def _terms(optimum: RigOptimum, found: AssessedEstimate, baseline: tuple[float, 
                 _knows_baseline(rig, inner)):
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
             slopes = _carried_by_baseline(rig, slopes)
+            if not baseline[1]:
+                findings += (Finding('rig_baseline_exact', baseline_m=baseline[0]),)
             for k in range(1, len(rig.cameras)):
                 of_baseline[rig.of_pose(k)][:3] = rig.place(k) * scale * baseline[1] / baseline[0]
         else:

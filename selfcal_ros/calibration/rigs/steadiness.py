@@ -43,6 +43,9 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 OFFSETS = np.geomspace(1e-4, 1e-1, 13)
 #: A cause is told of where without it the images would be an accident so rarely.
 ACCIDENT = 1e-6
+#: A knock that moves no point by a tenth of a pixel is no knock to speak of, though it may show
+#: beyond chance, as where positions were moved along their tracks. Radians; steps of the path.
+LEAST_TURN_RAD, LEAST_PLACE = 1e-4, 2e-3
 #: Fewer instants make no smooth path.
 MIN_INSTANTS = 5
 _OFFSET, _KNOCK = 'one clock', 'no knock'
@@ -148,13 +151,19 @@ def steadiness(fit: RobustFit, seen: RigObservations, variance_inflation: float,
     def explained(one: Tested) -> float:
         return one.chi2 * variance_inflation / max(2 * len(fit.observations.view), 1)
 
-    if knock.p_value * len(knocks) < ACCIDENT and knock.chi2 > offset.chi2:
+    # a knock has more unknowns, and an instant besides; on an S it does nearly what lateness does
+    more = (len(POSE_NAMES) - len(cameras)) * np.log(max(fit.observations.view.size, 2))
+    price = max(more, 0.0) + 2 * np.log(len(knocks))
+    if knock.p_value * len(knocks) < ACCIDENT and knock.chi2 > offset.chi2 + price:
         step = np.zeros(size)
         step[rows[k]] = knock.value
         # the poses before and after it are both within the sigmas
         for moved in (knock.shift, knock.shift + step):
             moved = moved * unknowns.free[unknowns.lens]
             covariance += np.outer(moved, moved)
+        if (np.abs(knock.value[3:]).max() < LEAST_TURN_RAD
+                and np.abs(knock.value[:3]).max() < LEAST_PLACE):
+            return covariance, None
         return covariance, Unsteady(cameras[k], rig.cameras[0], explained(knock),
                                     int(seen.frames[view]))
     variance = np.diag(offset.covariance)

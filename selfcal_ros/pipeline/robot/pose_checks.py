@@ -25,6 +25,8 @@ from selfcal_ros.values.body_poses import BodyPoses
 
 #: Faster than this is no robot (250 km/h), but a millimetre called a metre.
 FASTEST_M_S = 70.0
+#: No robot tells poses so soon after each other; microseconds called nanoseconds do.
+SHORTEST_NS = 100_000
 #: Farther than this from pose to pose, without a clock, is none either.
 LONGEST_STEP_M = 20.0
 #: A unit quaternion whose digits were cut off errs by less.
@@ -112,7 +114,8 @@ def check_metres(poses: BodyPoses, source: str) -> None:
     Raises
     ------
     InputError
-        If a robot that moves like this would be too fast, or its steps too long.
+        If a robot that moves like this would be too fast, or its steps too long; stamps in
+        another unit than nanoseconds are named as such.
 
     """
     steps = np.linalg.norm(np.diff(poses.position, axis=0), axis=1)
@@ -126,6 +129,12 @@ def check_metres(poses: BodyPoses, source: str) -> None:
         seconds = np.diff(poses.stamps_ns)[moved] / 1e9
         typical, limit = float(np.median(steps[moved] / seconds)), FASTEST_M_S
         what = f'{typical:.3g} m/s'
+    if typical > limit and poses.stamps_ns is not None:
+        apart_ns = float(np.median(np.diff(poses.stamps_ns)))
+        if apart_ns < SHORTEST_NS:
+            raise InputError(f'The stamps of {source} are hardly nanoseconds: its poses would be '
+                             f'{apart_ns:.3g} ns apart; give stamp_ns in nanoseconds, or stamp_s '
+                             'in seconds.')
     if typical > limit:
         # who writes no metres writes millimetres, however short the steps
         raise InputError(f'The positions of {source} look like millimetres: as metres the robot '

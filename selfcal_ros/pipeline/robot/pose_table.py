@@ -101,7 +101,11 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
     """Return the names of the columns, and the rows."""
     text = read_limited(path, MAX_BYTES, 'The table of poses').decode('utf-8-sig', 'replace')
     try:
-        lines = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
+        head = next((line for line in text.splitlines() if line.strip()), '')
+        # spreadsheets of half of Europe part cells by semicolons
+        parted_by = max(',;\t', key=head.count)
+        lines = [row for row in csv.reader(text.splitlines(), delimiter=parted_by)
+                 if any(cell.strip() for cell in row)]
     except csv.Error as error:
         raise InputError(f'{path} is no CSV file ({error}).') from None
     if len(lines) < 3:
@@ -124,8 +128,8 @@ def _column_of_time(path: str | Path, names: list[str], images: list[str] | None
         if 'image' in names:
             raise InputError(f'{path} names images, and INPUT is no folder of images; give a '
                              'column stamp_ns or frame.')
-        raise InputError(f'{path} does not say when a pose was, or where; its columns must be '
-                         f'{EXPECTED}.')
+        raise InputError(f'{path} does not say when a pose was: it has the columns '
+                         f'{", ".join(names[:20])}; needed are {EXPECTED}.')
     if 'frame' in there and not by_stamp and there[0] != 'image':
         return 'frame'
     return there[0]

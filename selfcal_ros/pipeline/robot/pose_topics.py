@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ from selfcal_ros.values.transform_tree import TransformTree
 
 #: Topics of transforms, the second of those that hold at all times.
 TRANSFORM_TOPICS = ('/tf', '/tf_static')
+#: Who names no frames of TF is told those of so many messages.
+MOST_LOOKED_AT = 500
 #: A clock that goes back by more is a second run of the recording.
 OVERTAKEN_NS = 200_000_000
 
@@ -127,6 +130,17 @@ def _fitting(bag: OpenBag) -> str:
             counts[one.topic] = counts.get(one.topic, 0) + one.msgcount
     named = [f'{name} ({number})' for name, number in sorted(counts.items())]
     if any(one.msgtype == TRANSFORM_TYPE for one in bag.connections):
-        named.append('/tf:FIXED:BODY')
+        named.append(_transforms_of(bag))
     return f'poses are on {", ".join(named[:12])}' if named else (
         'it holds no poses (Odometry, PoseStamped, PoseWithCovarianceStamped, TF)')
+
+
+def _transforms_of(bag: OpenBag) -> str:
+    """Name the frames of transforms, as far as the first messages do."""
+    chosen = [one for one in bag.connections if one.msgtype == TRANSFORM_TYPE
+              and one.topic in TRANSFORM_TOPICS]
+    frames: dict[str, None] = {}
+    for _, msg in itertools.islice(bag.messages(chosen) if chosen else (), MOST_LOOKED_AT):
+        for _, _, parent, child in transforms(msg):
+            frames |= dict.fromkeys((parent, child))
+    return '/tf:FIXED:BODY' + (f' (frames {", ".join(sorted(frames)[:12])})' if frames else '')

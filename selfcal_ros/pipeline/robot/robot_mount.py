@@ -15,13 +15,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import logging
 from pathlib import Path
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import MountFacts
+from selfcal_ros.calibration.mount import Mount, MountFacts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.excerpt import Excerpt
@@ -48,12 +48,15 @@ class RobotBeside:
         Known parts of the mount.
     instants_ns : dict of int to int, or None
         Of the images by frame, where their file names tell.
+    camera_frame : str
+        Frame of the images; '' where they name none.
 
     """
 
     poses: BodyPoses | AngularRates
     facts: MountFacts
     instants_ns: dict[int, int] | None = None
+    camera_frame: str = ''
 
     def mounted(self, result: Calibration, reading: ExtractedTracks,
                 progress: Progress | None = None) -> Calibration:
@@ -82,6 +85,8 @@ class RobotBeside:
                                  None if self.poses.frames is not None else stamps, self.facts)
             if reading.tracks is not None:
                 found = with_floor(found, reading.tracks)
+        if isinstance(found.mount, Mount):
+            found = replace(found, mount=replace(found.mount, camera_frame=self.camera_frame))
         _LOGGER.info('mount from %d poses: %s', len(self.poses),
                      'found' if found.mount else found.mount)
         return found
@@ -117,12 +122,13 @@ def read_robot(path: str | Path, robot: RobotSource, facts: MountFacts,
                                     'against the camera alone.')
             _check_overlap(poses, images, instants)
         elif poses.frames is None:
-            _check_overlap(poses, images, instants)
+            _check_overlap(poses, images, instants, facts)
         elif images.kind == 'tracks':
             _check_frames(poses, images.tracks().frames)
         elif images.count is not None and images.excerpt.is_whole:
             _check_frames(poses, np.arange(images.count))
-    return RobotBeside(poses, facts, instants)
+        frame = images.frame_id.lstrip('/')
+    return RobotBeside(poses, facts, instants, frame)
 
 
 def _check_frames(poses: BodyPoses, frames: np.ndarray) -> None:
@@ -134,11 +140,13 @@ def _check_frames(poses: BodyPoses, frames: np.ndarray) -> None:
 
 
 def _check_overlap(poses: BodyPoses | AngularRates, images: FrameSource,
-                   instants: dict[int, int] | None) -> None:
-    """Refuse poses of another time."""
+                   instants: dict[int, int] | None, facts: MountFacts = MountFacts()) -> None:
+    """Refuse poses of another time, by what is stated of the clocks."""
     known = poses.stamps_ns
     if known is None:
         return
+    if facts.time_offset is not None:
+        known = known + np.int64(round(1e9 * facts.time_offset[0]))
     end: int | None
     if instants is not None:
         begin, end = min(instants.values()), max(instants.values())
@@ -154,7 +162,7 @@ def _check_overlap(poses: BodyPoses | AngularRates, images: FrameSource,
         how, gap_s = 'begin {} s after the images end', (int(known[0]) - end) / 1e9
     else:
         return
-    text = f'{gap_s:.3g}' if gap_s < 1e6 else f'{gap_s:.0f}'
+    text = f'{gap_s:.3g}' if gap_s < 1e3 else f'{gap_s:.0f}'
     raise InputError(f'The poses of the robot {how.format(text)} (poses from {known[0]} to '
-                     f'{known[-1]} ns, images from {begin} ns on); both need one clock, in '
-                     'nanoseconds.')
+                     f'{known[-1]} ns, images from {begin} ns on); both need one clock, '
+                     'or state --mount-fact time_offset=SECONDS (camera minus robot).')

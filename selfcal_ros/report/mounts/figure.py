@@ -23,7 +23,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import Mount, mount_rotation, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.mounts.record import known_angles, known_matrix
-from selfcal_ros.report.mounts.words import floor_sentence, mount_rows
+from selfcal_ros.report.mounts.words import axis_sentence, floor_sentence, mount_rows
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, INK, new_panel, RED,
                                       styled)
@@ -170,11 +170,11 @@ def mount_table(result: Calibration) -> PageTable | None:
     columns: tuple[str, ...] = ('', 'value', 'σ', 'where from', 'by, or what would show it')
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
-    above = floor_sentence(mount)
+    below = ' '.join(filter(None, (axis_sentence(mount), floor_sentence(mount))))
     return PageTable(
         'mount-numbers', f'The camera on {mount.frame}',
         'The pose of the lens on the body: x forward, y left, z up. Angles are against a level '
         'camera that looks straight ahead. Scale is the length of the median step between '
         f'views. {mount.pose_count} poses were used, {mount.outlier_count} set aside.'
-        + (f' {above}' if above else ''),
+        + (f' {below}' if below else ''),
         columns, rows, 'robot', words=(3, 4))

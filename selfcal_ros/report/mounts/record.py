@@ -49,8 +49,9 @@ def mount_to_dict(mount: Mount | NoEstimate) -> dict[str, Any]:
         the body, rad), 'status', 'scale', 'scale_sigma',
         'time_offset_s', 'time_offset_sigma_s', 'covariance' in the order of 'names', 'missing'
         (what would show each open degree of freedom), 'poses', 'outliers', 'sigma_position_m',
-        'sigma_rotation_rad'; where the floor was asked, 'floor': 'height_m' of the camera above
-        it, 'sigma_m', 'points', 'tilt_rad', or 'kind', 'values' and 'reason' of a refusal;
+        'sigma_rotation_rad'; where the images name their frame, 'camera_frame';
+        where the floor was asked, 'floor': 'height_m' of the camera above it, 'sigma_m',
+        'points', 'tilt_rad', or 'kind', 'values' and 'reason' of a refusal;
         where some is open, 'places' ('direction' in the body, 'value' and
         'sigma' along it) and 'axis' (about which the turn is open; 'axis' in the body,
         'in_camera', 'sigma' across it).
@@ -78,6 +79,7 @@ def mount_to_dict(mount: Mount | NoEstimate) -> dict[str, Any]:
             'poses': mount.pose_count, 'outliers': mount.outlier_count,
             'sigma_position_m': mount.sigma_position_m,
             'sigma_rotation_rad': mount.sigma_rotation_rad,
+            **({'camera_frame': mount.camera_frame} if mount.camera_frame else {}),
             **({'places': [one.as_dict() for one in mount.places]} if mount.places else {}),
             **({'axis': mount.axis.as_dict()} if mount.axis is not None else {}),
             **({} if mount.floor is None else {'floor': _floor_to_dict(mount.floor)})}
@@ -168,7 +170,8 @@ def mount_from_dict(stored: dict[str, Any] | None) -> Mount | NoEstimate | None:
                                 float(one['sigma'])) for one in stored.get('places', ())),
         axis=None if stored.get('axis') is None else AxisInCamera(
             np.array(stored['axis']['axis'], float), np.array(stored['axis']['in_camera'], float),
-            float(stored['axis']['sigma'])))
+            float(stored['axis']['sigma'])),
+        camera_frame=str(stored.get('camera_frame', '')))
 
 
 def _number(value: float | None) -> float:

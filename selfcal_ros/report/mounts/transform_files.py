@@ -104,10 +104,13 @@ def stored_mount(mount: Mount, child: str, source: str = '') -> StoredTransform:
     """
     open_ones = [name for name in (*PLACE, *TURN) if mount.status[name] == 'unobservable']
     if open_ones or not np.isfinite(mount.T_body_camera).all():
-        named = ', '.join(open_ones) or 'a part'
-        raise ArgumentError(f'{named} of the mount is not observable, and a transform needs all '
-                            f'six numbers; state it with --mount-fact {(open_ones or ["z"])[0]}'
-                            '=VALUE:SIGMA.')
+        named = ' and '.join(filter(None, (', '.join(open_ones[:-1]), *open_ones[-1:])))
+        named = named or 'a part'
+        state = f'--mount-fact {(open_ones or ["z"])[0]}=VALUE:SIGMA'
+        raise ArgumentError(f'{named} of the mount {"are" if len(open_ones) > 1 else "is"} not '
+                            'observable, and a transform needs all six numbers; ' + (
+                                f'state it with {state}.' if len(open_ones) < 2 else
+                                f'record the motion that shows them, or state each: {state}.'))
     sigma = shown_sigma(mount)
     spread = ', '.join(f'{name} {sigma[name]:.2g} m' for name in PLACE)
     turns = ', '.join(f'{name} {np.degrees(sigma[name] or 0.0):.2g} deg' for name in TURN)

@@ -54,7 +54,7 @@ def is_transform_file(path: str | Path) -> bool:
             or b'robot_effector_frame:' in head)
 
 
-def read_transform(path: str | Path, child: str = CAMERA_FRAME, which: str | None = None,
+def read_transform(path: str | Path, child: str | None = None, which: str | None = None,
                    ) -> tuple[str, StoredTransform]:
     """
     Read the transform of a camera on a robot.
@@ -63,8 +63,8 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME, which: str | Non
     ----------
     path : str or Path
         Any of `FORMATS`, or our result.json.
-    child : str
-        Frame of the camera, where the file names none.
+    child : str, optional
+        Frame of the camera in a result.json; by default that of its images.
     which : str, optional
         The camera of a rig; by default its first, which has the mount.
 
@@ -197,7 +197,7 @@ def _from_yaml(document: dict[str, Any]) -> tuple[str, StoredTransform]:
     return kind, StoredTransform(str(parent), child, matrix)
 
 
-def _from_result(text: str, source: str, child: str, which: str | None) -> StoredTransform:
+def _from_result(text: str, source: str, child: str | None, which: str | None) -> StoredTransform:
     """Take the mount out of our result.json."""
     whole = json.loads(text)
     stored = stored_of(whole, which, source)
@@ -210,7 +210,8 @@ def _from_result(text: str, source: str, child: str, which: str | None) -> Store
     if not isinstance(mount, Mount):
         raise InputError(f'{source} has no mount: {mount.reason}')
     try:
-        return stored_mount(mount, child, stored.get('software', ''))
+        return stored_mount(mount, child or mount.camera_frame or CAMERA_FRAME,
+                            stored.get('software', ''))
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
 

@@ -84,10 +84,11 @@ def mount_rows(mount: Mount, facts: frozenset[str] = frozenset(),
         rows.append(MountRow(
             SHOWN[name][0], OF_AN_OBJECT if known_object and name == 'scale' else MEANING[name],
             _digits(values[name], spread) if known else '',
-            f'{spread:.2g}' if known and spread and np.isfinite(spread) else '',
+            _digits(spread, spread) if known and spread and np.isfinite(spread) else '',
             'm/m' if known_object and name == 'scale' else SHOWN[name][1],
             status, mount.missing.get(name, '') if status == 'unobservable' else
-            _held_by(name, mount, facts) if status == 'held' else ''))
+            _held_by(name, mount, facts) if status == 'held' else
+            '' if known else 'as far as the axis below tells'))
     return rows
 
 
@@ -136,16 +137,27 @@ def mount_lines(result: Calibration, facts: frozenset[str] = frozenset()) -> lis
     lines += ['', 'x, y, z: where the camera is on the body (forward, left, up). Angles: against '
               'a level camera that looks straight ahead; pitch is positive downwards, yaw to the '
               'left, roll to the right.']
-    above = floor_sentence(mount)
-    return [*lines, above] if above else lines
+    return [*lines, *filter(None, (axis_sentence(mount), floor_sentence(mount)))]
+
+
+def axis_sentence(mount: Mount) -> str:
+    """Say which axis of the body the camera knows, where the turn about it is open."""
+    if mount.axis is None:
+        return ''
+    axis, seen = (', '.join(f'{value:.4g}' for value in np.round(one, 4) + 0.0)
+                  for one in (mount.axis.axis, mount.axis.in_camera))
+    return (f'The direction ({axis}) of {mount.frame} is ({seen}) in the optical frame of the '
+            f'camera (x right, y down, z forward), to {np.degrees(mount.axis.sigma):.2g}°. The '
+            'turn about it is open.')
 
 
 def floor_sentence(mount: Mount) -> str:
     """Say how high the camera is above the floor, or why not; '' where it was not asked."""
     floor = mount.floor
     if isinstance(floor, Floor):
-        return (f'The camera is {_digits(floor.height_m, floor.sigma_m)} ± {floor.sigma_m:.2g} m '
-                f'above the floor, of which it sees {floor.points} points.')
+        height, sigma = (_digits(one, floor.sigma_m) for one in (floor.height_m, floor.sigma_m))
+        return (f'The camera is {height} ± {sigma} m above the floor, of which it sees '
+                f'{floor.points} points.')
     return '' if floor is None else f'{floor.reason} {floor.advice}'.rstrip()
 
 
