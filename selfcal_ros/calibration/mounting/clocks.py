@@ -32,8 +32,8 @@ LEAST_IMAGES = 4
 #: A drive that has only begun fits several clocks.
 LEAST_TIMED = 10
 #: Offsets this far from each other, seconds, whose turns and steps differ by a factor of e at
-#: most, are asked whether they explain all as well.
-APART_S, NEARLY = 0.1, 1.0
+#: most, are asked whether they explain all as well; the likeliest so many.
+APART_S, NEARLY, MOST_ASKED = 0.1, 1.0, 2
 
 
 def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[float]:
@@ -60,12 +60,7 @@ def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[
     if not track.timed:
         return [0.0]
     tried, cost = _profile(camera, track, middle)
-    if not len(tried):
-        return []
-    padded = np.concatenate([[np.inf], cost, [np.inf]])
-    lowest = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
-    best = lowest[np.argsort(cost[lowest], kind='stable')][:_MINIMA]
-    return [float(one) for one in tried[best]]
+    return [float(tried[k]) for k in _minima(cost)[:_MINIMA]]
 
 
 def alike(camera: CameraPoses, track: BodyTrack, found: float,
@@ -94,11 +89,19 @@ def alike(camera: CameraPoses, track: BodyTrack, found: float,
     """
     tried, cost = _profile(camera, track, middle)
     chosen: list[float] = []
-    for k in np.argsort(cost, kind='stable'):
+    for k in _minima(cost):
         if cost[k] < cost.min() + NEARLY and all(
                 abs(tried[k] - one) > APART_S for one in (found, *chosen)):
             chosen.append(float(tried[k]))
-    return chosen
+    return chosen[:MOST_ASKED]
+
+
+def _minima(cost: np.ndarray) -> np.ndarray:
+    """Return where a profile (n,) has its minima, the lowest first."""
+    padded = np.concatenate([[np.inf], cost, [np.inf]])
+    lowest = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
+    sorted_ones: np.ndarray = lowest[np.argsort(cost[lowest], kind='stable')]
+    return sorted_ones
 
 
 def _profile(camera: CameraPoses, track: BodyTrack,
