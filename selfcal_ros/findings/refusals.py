@@ -176,7 +176,7 @@ REFUSALS: dict[str, Phrase] = {
         'Turn the camera by 20 degrees or more, or walk further round the scene.'),
     'centre_outside': Phrase(
         'The images suggest a focal length of {focal_px:.0f} ± {sigma_px:.0f} px, with a '
-        'principal point outside of the image, at {cx:.0f}, {cy:.0f}.',
+        'principal point far from the middle of the image, at {cx:.0f}, {cy:.0f}.',
         'Hardly a camera has such a principal point. What is supposed of noise and path weighs '
         'more here than the images do. No camera file is written.',
         'Record more views, and turn the camera by 20 degrees or more; of a cropped image, state '
