@@ -40,6 +40,8 @@ _WORDS = (
     (r'--robot\b(?!-)', 'the parameter robot'),
     (r'--mount-fact (\w+=)', r'mount_facts:=\1'),
     (r'--mount-fact', 'the parameter mount_facts'),
+    # a node plays one camera
+    (r', or several with --cameras', ''),
     (r'--topic\b', 'the parameter topic'),
     (r'--camera\b(?!-)', 'the parameter camera_file'),
 )

@@ -77,9 +77,10 @@ def test_the_gate_is_one_for_all_motions(curve, motion, turn_deg, share, is_hint
 
 
 @pytest.mark.parametrize('centre, share, stated, is_hint', [
-    ((320, -3), 0.011, None, True), ((645, 240), 0.05, None, True), ((320, 3), 0.05, None, False),
-    ((320, -3), 0.009, None, False), ((320, -3), 0.05, (320, -3), False)])
-def test_an_unsure_camera_whose_principal_point_is_outside_of_the_image_is_a_hint(
+    ((320, -3), 0.011, None, True), ((645, 240), 0.05, None, True), ((320, 3), 0.02, None, True),
+    ((320, 130), 0.02, None, False), ((320, -3), 0.009, None, False),
+    ((320, -3), 0.05, (320, -3), False)])
+def test_an_unsure_camera_whose_principal_point_is_far_from_the_middle_is_a_hint(
         curve, centre, share, stated, is_hint):
     known = curve[1].hint
     K = known.camera.K.copy()

@@ -108,6 +108,8 @@ def test_sentences_of_nodes_name_parameters_and_not_options():
         'nothing (aspect_ratio:=0.0, zero_skew:=false), or say trust_facts:=true')
     assert in_parameters('Pick: `selfcal model --vertices --motion auto`; --motion auto') == (
         'Pick: `selfcal model --vertices --motion auto`; motion:=auto')
+    assert in_parameters('choose one with --topic, or several with --cameras: /a') == (
+        'choose one with the parameter topic: /a')
     for given in ('--topic', '--init takes', '--motion auto', '--lens plumb_bob', '--camera)',
                   '--camera-model zoom', '--model-scale 1e-3;', '--model-scale (',
                   '--focal varying', '--trust-facts', '--skew free'):
