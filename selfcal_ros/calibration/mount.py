@@ -217,9 +217,11 @@ class Mount:
     @property
     def _upright_in_camera(self) -> np.ndarray | None:
         """Where the camera has the vertical of the body, if only the turn about it is open."""
-        known = (self.axis is not None and np.isnan(self.T_body_camera[:3, :3]).any()
-                 and abs(self.axis.axis[2]) > UPRIGHT)
-        return self.axis.in_camera * np.sign(self.axis.axis[2]) if known and self.axis else None
+        if (self.axis is None or abs(self.axis.axis[2]) <= UPRIGHT
+                or not np.isnan(self.T_body_camera[:3, :3]).any()):
+            return None
+        upright: np.ndarray = self.axis.in_camera * np.sign(self.axis.axis[2])
+        return upright
 
     @property
     def angles_sigma(self) -> dict[str, float]:

@@ -175,7 +175,7 @@ class Outputs:
                                       made=Provenance.of_this_run(self.command, self.inputs)))
         if self.mount and result:
             written += written_or_left_out(self.mount, left_out, lambda path: write_mount(
-                path, result, self.camera_frame, source, open_frames, force))
+                path, result, self.camera_frame, source, force))
         if result and tracks is not None:
             more, why_not = self.scene.write(result, source, tracks, open_frames, stamps_ns)
             written += more
@@ -213,7 +213,7 @@ def written_or_left_out(path: Path, left_out: list[LeftOut],
 
 
 def write_mount(path: Path, result: Calibration, frame: str | None, source: str = '',
-                open_frames: OpenFrames | None = None, force: bool = True) -> Path:
+                force: bool = True) -> Path:
     """
     Write the transform from the robot to the camera.
 
@@ -222,11 +222,9 @@ def write_mount(path: Path, result: Calibration, frame: str | None, source: str 
     path : Path
     result : Calibration
     frame : str or None
-        Of the camera; None: that of the images, if they are given.
+        Of the camera; None: that of the images.
     source : str
         Where the images come from.
-    open_frames : callable, optional
-        Opens the images.
     force : bool
         Replace what is there.
 
@@ -239,17 +237,12 @@ def write_mount(path: Path, result: Calibration, frame: str | None, source: str 
 
     """
     from selfcal_ros.calibration.mount import Mount
-    from selfcal_ros.report.mounts.transform_files import (CAMERA_FRAME, stored_mount,
-                                                           write_transform)
+    from selfcal_ros.report.mounts.transform_files import stored_mount, write_transform
     if not isinstance(result.mount, Mount):
         raise ArgumentError(result.mount.reason if result.mount is not None
                             else 'no robot was given.')
-    if frame is None and open_frames is not None:
-        with open_frames() as frames:
-            frame = frames.frame_id
     about = f'{result.software}: {source}' if source else result.software
-    return write_transform(path, stored_mount(
-        result.mount, frame or result.mount.camera_frame or CAMERA_FRAME, about), replace=force)
+    return write_transform(path, stored_mount(result.mount, frame, about), replace=force)
 
 
 def _camera_comments(result: Calibration, source: str) -> list[str]:

@@ -85,7 +85,7 @@ class MountPublisher:
             self._open = '' if mount is None else no_mount_sentence(mount)
             return
         try:
-            stored_mount(mount, self.camera_frame or CAMERA_FRAME)
+            stored_mount(mount, self.camera_frame)
         except ArgumentError as error:
             self._open = str(error)
             return

@@ -15,6 +15,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
@@ -36,14 +39,12 @@ LEAST_TIMED = 10
 APART_S, NEARLY, MOST_ASKED = 0.1, 1.0, 2
 
 
-def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[float]:
+@dataclass(frozen=True)
+class Clocks:
     """
-    Return offsets at which body and camera turned and moved alike, the best first.
+    How well turns and steps of a body and a camera agree, by the offset between their clocks.
 
-    The angle of a relative rotation is the same for both, wherever the camera sits; lengths of
-    steps are in proportion, nearly.
-
-    Parameters
+    Attributes
     ----------
     camera : CameraPoses
     track : BodyTrack
@@ -51,49 +52,68 @@ def offsets(camera: CameraPoses, track: BodyTrack, middle: float = 0.0) -> list[
     middle : float
         About which offsets are tried, seconds.
 
-    Returns
-    -------
-    list of float
-        Seconds; empty where too few images have poses.
-
     """
-    if not track.timed:
-        return [0.0]
-    tried, cost = _profile(camera, track, middle)
-    return [float(tried[k]) for k in _minima(cost)[:_MINIMA]]
 
+    camera: CameraPoses
+    track: BodyTrack
+    middle: float = 0.0
 
-def alike(camera: CameraPoses, track: BodyTrack, found: float,
-          middle: float = 0.0) -> list[float]:
-    """
-    Return offsets far from the one that was found at which turns and steps agree nearly as well.
+    @cached_property
+    def _profile(self) -> tuple[np.ndarray, np.ndarray]:
+        """Offsets, and how much body and camera differ at each; both empty without poses."""
+        tried = self.middle + np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
+        rows = np.flatnonzero(self.track.known(self.middle, REACH_S))
+        if len(rows) < LEAST_IMAGES:
+            rows = np.flatnonzero(self.track.known(self.middle))
+            tried = tried[[self.track.known(offset)[rows].all() for offset in tried]]
+        if len(rows) < LEAST_IMAGES or not len(tried):
+            return np.zeros(0), np.zeros(0)
+        part = self.camera.chosen(rows)
+        return tried, np.array([_disagreement(part, self.track, one, rows) for one in tried])
 
-    Where the robot turns evenly, a later instant looks like an earlier one. Errors of the poses
-    choose among them then, and the curvature of the misfit knows nothing of the others.
+    def offsets(self) -> list[float]:
+        """
+        Return offsets at which body and camera turned and moved alike, the best first.
 
-    Parameters
-    ----------
-    camera : CameraPoses
-    track : BodyTrack
-        Of the same images.
-    found : float
-        Seconds.
-    middle : float
-        See `offsets`.
+        The angle of a relative rotation is the same for both, wherever the camera sits; lengths
+        of steps are in proportion, nearly.
 
-    Returns
-    -------
-    list of float
-        Seconds, the best first, `APART_S` from each other.
+        Returns
+        -------
+        list of float
+            Seconds; empty where too few images have poses.
 
-    """
-    tried, cost = _profile(camera, track, middle)
-    chosen: list[float] = []
-    for k in _minima(cost):
-        if cost[k] < cost.min() + NEARLY and all(
-                abs(tried[k] - one) > APART_S for one in (found, *chosen)):
-            chosen.append(float(tried[k]))
-    return chosen[:MOST_ASKED]
+        """
+        if not self.track.timed:
+            return [0.0]
+        tried, cost = self._profile
+        return [float(tried[k]) for k in _minima(cost)[:_MINIMA]]
+
+    def alike(self, found: float) -> list[float]:
+        """
+        Return offsets far from the one found at which turns and steps agree nearly as well.
+
+        Where the robot turns evenly, a later instant looks like an earlier one. Errors of the
+        poses choose among them then, and the curvature of the misfit knows nothing of the others.
+
+        Parameters
+        ----------
+        found : float
+            Seconds.
+
+        Returns
+        -------
+        list of float
+            Seconds, the best first, `APART_S` from each other.
+
+        """
+        tried, cost = self._profile
+        chosen: list[float] = []
+        for k in _minima(cost):
+            if cost[k] < cost.min() + NEARLY and all(
+                    abs(tried[k] - one) > APART_S for one in (found, *chosen)):
+                chosen.append(float(tried[k]))
+        return chosen[:MOST_ASKED]
 
 
 def _minima(cost: np.ndarray) -> np.ndarray:
@@ -102,20 +122,6 @@ def _minima(cost: np.ndarray) -> np.ndarray:
     lowest = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
     sorted_ones: np.ndarray = lowest[np.argsort(cost[lowest], kind='stable')]
     return sorted_ones
-
-
-def _profile(camera: CameraPoses, track: BodyTrack,
-             middle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return offsets, and how much body and camera differ at each; both empty without poses."""
-    tried = middle + np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
-    rows = np.flatnonzero(track.known(middle, REACH_S))
-    if len(rows) < LEAST_IMAGES:
-        rows = np.flatnonzero(track.known(middle))
-        tried = tried[[track.known(offset)[rows].all() for offset in tried]]
-    if len(rows) < LEAST_IMAGES or not len(tried):
-        return np.zeros(0), np.zeros(0)
-    part = camera.chosen(rows)
-    return tried, np.array([_disagreement(part, track, offset, rows) for offset in tried])
 
 
 def _disagreement(camera: CameraPoses, track: BodyTrack, offset: float,

@@ -29,7 +29,7 @@ from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import (
     camera_poses, CameraPoses, chance_of_pull, with_lens)
 from selfcal_ros.calibration.mounting.clocks import (
-    alike, APART_S, LEAST_IMAGES, LEAST_TIMED, offsets, STEP_S)
+    APART_S, Clocks, LEAST_IMAGES, LEAST_TIMED, STEP_S)
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
                                                            WRONG)
 from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
@@ -149,7 +149,8 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
         return replace(calibration, mount=refusal)
     middle, roughly = facts.time_offset or (0.0, np.inf)
     # what is stated roughly is looked for about its value
-    tried = [middle] if roughly < STEP_S and track.timed else offsets(camera, track, middle)
+    clocks = Clocks(camera, track, middle)
+    tried = [middle] if roughly < STEP_S and track.timed else clocks.offsets()
     rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
     part, body = camera.chosen(rows), track.at(tried[0], rows)
     meant = what_is_meant(part, track, tried[0], rows) if len(rows) >= LEAST_IMAGES else None
@@ -179,7 +180,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
             return replace(calibration, mount=NoEstimate('metres_differ', ratio=ratio))
     mount = _mount(part, poses, facts, adjustment, optimum, rows)
     if mount.status['time_offset'] == 'estimated' and _clock_is_open(
-            camera, BodyTrack(poses, camera.frames, stamps_ns), poses, facts, optimum, len(rows)):
+            clocks, poses, facts, optimum, len(rows)):
         mount = _without_clock(mount)
     if other is not None:
         mount = _in_either_metre(mount, optimum)
@@ -270,13 +271,12 @@ def _with_lag(adjustment: Adjustment, start: State, errors: PoseErrors,
     return adjustment, optimum
 
 
-def _clock_is_open(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
-                   optimum: Optimum, count: int) -> bool:
+def _clock_is_open(clocks: Clocks, poses: BodyPoses, facts: MountFacts, optimum: Optimum,
+                   count: int) -> bool:
     """Tell whether an offset of the clocks far from the one found explains all as well."""
-    per_image, kinds = optimum.cost / count, 3 if track.flat else 6
-    middle = 0.0 if facts.time_offset is None else facts.time_offset[0]
-    for offset in alike(camera, track, optimum.state.offset, middle):
-        found = _from_start(camera, track, poses, facts, offset)
+    per_image, kinds = optimum.cost / count, 3 if clocks.track.flat else 6
+    for offset in clocks.alike(optimum.state.offset):
+        found = _from_start(clocks.camera, clocks.track, poses, facts, offset)
         if found is None or abs(found[1].state.offset - optimum.state.offset) < APART_S / 2:
             continue
         images = len(found[2])

@@ -46,8 +46,18 @@ def most_probable_size(values: np.ndarray, pull: np.ndarray, sizes: np.ndarray,
         Of log probability over coefficients of zero.
 
     """
-    square = sizes[:, None]**2
-    gains = 0.5 * np.sum(pull**2 * square / (1 + square * values)
-                         - np.log1p(square * values), axis=1)
+    gains = log_evidence(values, pull, sizes)
     best = int(np.argmax(gains))
     return float(sizes[best]), float(gains[best])
+
+
+def log_evidence(values: np.ndarray, pull: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """
+    Return the gain of log probability over coefficients of zero, for each size, shape (s,).
+
+    Parameters are those of `most_probable_size`.
+    """
+    square = sizes[:, None]**2
+    gains: np.ndarray = 0.5 * np.sum(pull**2 * square / (1 + square * values)
+                                     - np.log1p(square * values), axis=1)
+    return gains

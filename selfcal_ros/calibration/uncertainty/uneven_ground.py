@@ -35,6 +35,7 @@ from itertools import product
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.random_effects import log_evidence
 
 #: Lengths of a process in views, beside none, and its sizes in sigmas of the estimate: each is as
 #: likely beforehand.
@@ -121,10 +122,7 @@ def likely_processes(x: np.ndarray, covariance: np.ndarray, variance_inflation: 
         values, vectors = np.linalg.eigh(_correlations(length, *kind))
         root = np.kron(np.eye(count), vectors * np.sqrt(np.maximum(values, 0)))
         told, along = np.linalg.eigh(root.T @ images @ root)
-        told = np.maximum(told, 0)[:, None]
-        pulled = (along.T @ (root.T @ pull))[:, None]
-        log[k] = 0.5 * np.sum((pulled * SIZES)**2 / (1 + told * SIZES**2)
-                              - np.log1p(told * SIZES**2), axis=0)
+        log[k] = log_evidence(np.maximum(told, 0), along.T @ (root.T @ pull), SIZES)
     probability = np.exp(log - log.max())
     variances = (probability / probability.sum()) @ SIZES**2
     return [(float(variance), *kind) for variance, kind in zip(variances, kinds)]

@@ -92,9 +92,17 @@ def _angles(R: np.ndarray) -> np.ndarray:
     return angles
 
 
-def stored_mount(mount: Mount, child: str, source: str = '') -> StoredTransform:
+def stored_mount(mount: Mount, child: str | None = None, source: str = '') -> StoredTransform:
     """
     Return a mount as a transform.
+
+    Parameters
+    ----------
+    mount : Mount
+    child : str, optional
+        Frame of the camera; by default that of the images, or `CAMERA_FRAME` where they name none.
+    source : str
+        What to say of where it comes from.
 
     Raises
     ------
@@ -114,8 +122,9 @@ def stored_mount(mount: Mount, child: str, source: str = '') -> StoredTransform:
     sigma = shown_sigma(mount)
     spread = ', '.join(f'{name} {sigma[name]:.2g} m' for name in PLACE)
     turns = ', '.join(f'{name} {np.degrees(sigma[name] or 0.0):.2g} deg' for name in TURN)
-    return StoredTransform(mount.frame, child, mount.T_body_camera, mount.covariance[:6, :6],
-                           tuple(filter(None, (source, f'one sigma: {spread}, {turns}'))))
+    about = tuple(filter(None, (source, f'one sigma: {spread}, {turns}')))
+    return StoredTransform(mount.frame, child or mount.camera_frame or CAMERA_FRAME,
+                           mount.T_body_camera, mount.covariance[:6, :6], about)
 
 
 def check_frame(name: str) -> str:

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mount import Mount, TURN
 from selfcal_ros.errors import ArgumentError, InputError, SelfcalError
 from selfcal_ros.report.mounts.record import mount_from_dict
-from selfcal_ros.report.mounts.transform_files import (AXES, CAMERA_FRAME, FORMATS, LAUNCH_TITLE,
+from selfcal_ros.report.mounts.transform_files import (AXES, FORMATS, LAUNCH_TITLE,
                                                        stored_mount, StoredTransform)
 from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
 
@@ -210,8 +210,7 @@ def _from_result(text: str, source: str, child: str | None, which: str | None) -
     if not isinstance(mount, Mount):
         raise InputError(f'{source} has no mount: {mount.reason}')
     try:
-        return stored_mount(mount, child or mount.camera_frame or CAMERA_FRAME,
-                            stored.get('software', ''))
+        return stored_mount(mount, child, stored.get('software', ''))
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
 
