@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_ne
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators import motion_choice, moving_camera, pivot
+from selfcal_ros.calibration.estimators import motion_choice, moving_camera, pivot, rotation
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.motion_choice import MAX_NOISE_OF_WEAK_PATH
 from selfcal_ros.calibration.estimators.moving_camera import MovingCamera, Turn
@@ -288,7 +288,7 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
     turn = replace(drive, motion='pivot', camera=wrong,
                    noise_sigma_px=1.05 * drive.noise_sigma_px)
     # as if the parallax were little, and rotations nearly explained the images
-    rotations = SimpleNamespace(left_px=3.0, noise_px=0.5)
+    rotations = SimpleNamespace(left_px=3.0, start_px=3.0, noise_px=0.5)
     monkeypatch.setattr(motion_choice, 'RotationFit', SimpleNamespace)
     monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
     monkeypatch.setattr(motion_choice, 'of_two_turning', lambda *_: None)
@@ -329,13 +329,28 @@ def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
     monkeypatch.setattr(motion_choice, 'of_two_turning', lambda *_: None)
     monkeypatch.setattr(moving_camera, 'MAX_PARALLAX_OF_BEST', 1e6)
     monkeypatch.setattr(moving_camera, 'fit_rotations',
-                        lambda *_: SimpleNamespace(left_px=3.0, noise_px=0.5))
+                        lambda *_: SimpleNamespace(left_px=3.0, start_px=3.0, noise_px=0.5))
     open_turn = Turn(NoEstimate('parameters_undetermined', missing=('fx',)), 0.5)
     monkeypatch.setattr(MovingCamera, 'about_a_point', lambda *_: open_turn)
     result = calibrate(sequence.tracks, facts=STRAIGHT)
 
     assert result.motion == 'planar'
     assert away(result) < 4
+
+
+@pytest.mark.parametrize('noise_px, looked_for', [(0.8, False), (1.5, True)])
+def test_the_lens_of_rotations_is_looked_for_where_no_path_is_sure(monkeypatch, noise_px,
+                                                                   looked_for):
+    """What rotations leave with a simple lens is 14 and 8 times the noise of the pairs."""
+    asked = []
+    whole = rotation._richest_lens
+    monkeypatch.setattr(rotation, '_richest_lens', lambda *args: asked.append(1) or whole(*args))
+    sequence = vehicle(np.random.default_rng([3, 5]), s_curve(10), count=100, noise_px=noise_px)
+    result = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert result.motion == 'planar'
+    assert away(result) < 4
+    assert bool(asked) is looked_for
 
 
 def decided(sequence):

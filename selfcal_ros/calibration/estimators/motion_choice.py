@@ -99,10 +99,14 @@ class MotionsSeen:
     @property
     def is_near_turn(self) -> bool:
         """Tell whether rotations alone leave so little that a turn about a point may explain."""
-        rotations, graph = self.rotations, self.case.graph
-        return (isinstance(rotations, RotationFit)
-                and rotations.left_px < MAX_NOISE_NEAR_TURN * max(rotations.noise_px,
-                                                                  graph.noise_px))
+        rotations = self.rotations
+        return isinstance(rotations, RotationFit) and self.leaves_little(rotations.left_px)
+
+    def leaves_little(self, left_px: float) -> bool:
+        """Tell whether a turn about a point may explain what rotations leave."""
+        assert isinstance(self.rotations, RotationFit)
+        return left_px < MAX_NOISE_NEAR_TURN * max(self.rotations.noise_px,
+                                                   self.case.graph.noise_px)
 
     @property
     def best_path(self) -> Calibration | NoEstimate:
@@ -129,19 +133,16 @@ def _is_near_turn(so_far: MotionsSeen) -> bool:
 
 
 def _is_hardly_near_turn(so_far: MotionsSeen) -> bool:
-    """Tell whether rotations alone leave little, but more than any head does."""
-    return (so_far.is_near_turn and isinstance(so_far.rotations, RotationFit)
-            and so_far.rotations.left_px > MAX_NOISE_OF_WEAK_PATH * so_far.case.graph.noise_px)
+    """Tell whether rotations with a simple lens leave more than any head does."""
+    rotations, graph = so_far.rotations, so_far.case.graph
+    return (isinstance(rotations, RotationFit)
+            and rotations.start_px > MAX_NOISE_OF_WEAK_PATH * graph.noise_px
+            and on_one_plane(graph) is None)
 
 
 def _may_be_plane(so_far: MotionsSeen) -> bool:
     """Tell whether little parallax shows, and not for want of translations."""
     return so_far.case.may_turn and not so_far.is_near_turn
-
-
-def _has_no_path(so_far: MotionsSeen) -> bool:
-    """Tell whether no path was tried yet."""
-    return so_far.path is None
 
 
 def _may_be_nearly_plane(so_far: MotionsSeen) -> bool:
@@ -196,8 +197,17 @@ def _try_two_cameras(so_far: MotionsSeen) -> MotionsSeen:
                                                  case.facts))
 
 
+def _try_path_before_turns(so_far: MotionsSeen) -> MotionsSeen:
+    """Calibrate from a path, while what rotations leave is known with a simple lens alone."""
+    assert isinstance(so_far.rotations, RotationFit)
+    near = so_far.leaves_little(so_far.rotations.start_px)
+    return replace(so_far, path=so_far.case.path(is_weak=near))
+
+
 def _try_path(so_far: MotionsSeen) -> MotionsSeen:
-    return replace(so_far, path=so_far.case.path(so_far.rotations, is_weak=so_far.is_near_turn))
+    case = so_far.case
+    path = case.path(is_weak=so_far.is_near_turn) if so_far.path is None else so_far.path
+    return replace(so_far, path=case.unless_like_turns(path, so_far.rotations))
 
 
 def _try_turn(so_far: MotionsSeen) -> MotionsSeen:
@@ -225,7 +235,8 @@ def _try_turn_despite_parallax(so_far: MotionsSeen) -> MotionsSeen:
 
 def _try_weak_path(so_far: MotionsSeen) -> MotionsSeen:
     """Suppose that translations are small, and hold the path against rotations."""
-    return replace(so_far, path=so_far.case.path(so_far.despite_parallax, is_weak=True))
+    path = so_far.case.path(is_weak=True)
+    return replace(so_far, path=so_far.case.unless_like_turns(path, so_far.despite_parallax))
 
 
 def _judge_rotations(so_far: MotionsSeen) -> MotionsSeen:
@@ -310,12 +321,13 @@ def _rotations_or_path(so_far: MotionsSeen) -> Calibration | NoEstimate | None:
 ATTEMPTS: tuple[Attempt[MotionsSeen], ...] = (
     # First, and no answer itself: what rotations leave tells which others are worth their time.
     Attempt('rotations alone', tried_when=_may_only_turn, make=_fit_rotations),
+    # Before the turn, and before the lens of rotations is looked for at length: no head leaves so
+    # much unless it zooms, and a path is found sooner.
+    Attempt('path that is no turn', tried_when=_is_hardly_near_turn,
+            make=_try_path_before_turns, accepted=_path_of_no_head),
     # Before anything is fitted further: no one camera explains images of two.
     Attempt('two cameras that turn', tried_when=_rotates, make=_try_two_cameras,
             accepted=_answered),
-    # Before the turn: no head leaves so much unless it zooms, and a path is found sooner.
-    Attempt('path that is no turn', tried_when=_is_hardly_near_turn, make=_try_path,
-            accepted=_path_of_no_head),
     # Before the path: small translations beside large rotations bend a free path, which then
     # may fit inside out. A turn has but three unknowns for them.
     Attempt('turn about a point', tried_when=_is_near_turn, make=_try_turn, accepted=_sure_turn),
@@ -324,7 +336,7 @@ ATTEMPTS: tuple[Attempt[MotionsSeen], ...] = (
     Attempt('one plane', tried_when=_may_be_plane, make=_try_one_plane, accepted=_settled_plane),
     # All simpler motions were tried that little parallax asks for. One plane that fits as well,
     # and leaves the camera open, is believed: the path owes its camera to the noise.
-    Attempt('path', tried_when=_has_no_path, make=_try_path, accepted=_plane_that_leaves_open),
+    Attempt('path', tried_when=always, make=_try_path, accepted=_plane_that_leaves_open),
     # After the path: fundamental matrices of nearly a plane start none.
     Attempt('nearly a plane', tried_when=_may_be_nearly_plane, make=_try_all_in_plane),
     # After the path, whose weakness asks for it: what pairs show beside a homography was no

@@ -166,12 +166,10 @@ class MovingCamera:
         return (judge_rotations(rotations, may_miss=True) if isinstance(rotations, RotationFit)
                 else rotations)
 
-    def path(self, rotations: RotationFit | NoEstimate | None, is_weak: bool,
-             ) -> Calibration | NoEstimate:
-        """Calibrate from a translating camera; refused where rotations alone fit as well."""
-        return self.unless_like_turns(calibrate_from_motion(
-            self.graph, self.size, self.facts, self.proposals, MOTION_MODELS[self.motion],
-            is_weak=is_weak), rotations)
+    def path(self, is_weak: bool) -> Calibration | NoEstimate:
+        """Calibrate from a translating camera."""
+        return calibrate_from_motion(self.graph, self.size, self.facts, self.proposals,
+                                     MOTION_MODELS[self.motion], is_weak=is_weak)
 
     def over_a_plane(self, graph: ViewGraph) -> Calibration | NoEstimate:
         """Calibrate from a path over points in one plane."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,8 @@ from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_f
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEASURE
+from selfcal_ros.calibration.bundle.tolerances import (SHARE_OF_COST, TO_COMPARE_ROUGHLY,
+                                                       TO_MEASURE)
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            unchecked)
@@ -141,16 +143,28 @@ class RotationFit:
 
     Attributes
     ----------
-    lens : LensDecision
     problem : RotationProblem
+    motion : MotionModel
+        Rotations, with a focal length that varies perhaps.
+    start : SceneState
+        The best start, with a simple lens.
+    start_px : float
+        Standard deviation of what it leaves, robustly.
     noise_px : float
         Standard deviation of an image coordinate by epipolar geometry, which knows no rotations.
 
     """
 
-    lens: LensDecision
     problem: RotationProblem
+    motion: MotionModel
+    start: SceneState
+    start_px: float
     noise_px: float
+
+    @cached_property
+    def lens(self) -> LensDecision:
+        """The lens that fits best; it is looked for once, when it is asked for."""
+        return _richest_lens(self.start, self.problem, self.motion)
 
     @property
     def frames(self) -> np.ndarray:
@@ -232,20 +246,24 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
                           freedom=bundle.degrees_of_freedom, motion='rotation')
     problem = RotationProblem(observed, frames, homographies.H, order, conic, sigma_px, size,
                               facts)
-    lens = _fit(problem, _zooming(frames) if varying else ROTATION, hopeless_px)
-    return lens if isinstance(lens, NoEstimate) else RotationFit(
-        lens, problem, epipolar_noise(tracks, frames))
+    motion = _zooming(frames) if varying else ROTATION
+    started = _best_start(problem, motion, hopeless_px)
+    return started if isinstance(started, NoEstimate) else RotationFit(
+        problem, motion, *started, epipolar_noise(tracks, frames))
 
 
 def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = False,
                     ) -> Calibration | NoEstimate:
     """Tell whether rotations alone explain the views; see `calibrate_rotating`."""
-    result = _assess(found.lens, found, may_miss)
+    result = _assess(found, may_miss)
     if may_zoom and found.problem.facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
-        lens = _fit(found.problem, _zooming(found.frames))
-        if not isinstance(lens, NoEstimate):
-            return _assess(lens, found, may_miss) or result
+        motion = _zooming(found.frames)
+        started = _best_start(found.problem, motion)
+        if not isinstance(started, NoEstimate):
+            start, start_px = started
+            zoomed = replace(found, motion=motion, start=start, start_px=start_px)
+            return _assess(zoomed, may_miss) or result
     return result
 
 
@@ -254,31 +272,34 @@ def _zooming(frames: np.ndarray) -> MotionModel:
     return replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
 
 
-def _fit(problem: RotationProblem, motion: MotionModel, hopeless_px: float = np.inf,
-         ) -> LensDecision | NoEstimate:
-    """Start with several cameras, and fit the lens from the best."""
+def _best_start(problem: RotationProblem, motion: MotionModel, hopeless_px: float = np.inf,
+                ) -> tuple[SceneState, float] | NoEstimate:
+    """Start with several cameras; return the best, and the noise that it leaves, pixels."""
     facts, sigma_px = problem.facts, problem.sigma_px
     priors = priors_from_facts(facts)
     bundle = bundle_of(problem.observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
-    best, least = None, np.inf
+    best, least, best_px = None, np.inf, np.inf
     for K in _starting_cameras(problem):
         state = _start(K, problem, priors.lens.name)
-        state = bundle.optimise(with_fixed(state, priors), iterations=30,
+        state = bundle.optimise(with_fixed(state, priors), iterations=6,
                                 tolerance=TO_COMPARE_ROUGHLY)
+        # no finer than starts are told apart
+        tolerance = max(TO_COMPARE_ROUGHLY, SHARE_OF_COST * bundle.cost(state))
+        state = bundle.optimise(state, iterations=24, tolerance=tolerance)
         cost = bundle.cost(state)
         left_px = bundle.noise_sigma(state)
         # where no rotation is expected, two starts with one optimum speak for the others
         same = SAME_COST_AFAR if left_px > AFAR * sigma_px else SAME_COST
         agree = hopeless_px < np.inf and abs(cost - least) < same * cost
         if best is None or cost < least:
-            best, least = state, cost
+            best, least, best_px = state, cost, left_px
         if left_px > hopeless_px:
             return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
                               facts=facts)
         if agree or left_px < EXPLAINED_RATIO * sigma_px:
             break
     assert best is not None     # a range of focal lengths is always supposed
-    return _richest_lens(best, problem, motion)
+    return best, best_px
 
 
 def _richest_lens(state: SceneState, problem: RotationProblem, motion: MotionModel,
@@ -304,8 +325,9 @@ def _richest_lens(state: SceneState, problem: RotationProblem, motion: MotionMod
     return choose_lens(fit, facts, size, lambda _: 1.0, determined, ORDINARY_DECENTRING)
 
 
-def _assess(lens: LensDecision, found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
+def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
+    lens = found.lens
     size, stated, observed = found.problem.size, found.problem.facts, found.problem.observed
     # rows that are read in turn leave more than rotations do
     decided = choose_shutter(_without_gross_errors(lens.fit, found), observed, stated, size)
