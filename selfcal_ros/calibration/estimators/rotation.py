@@ -21,29 +21,29 @@ directions of the points, with its covariance.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
-    camera_from_homographies, ConicCalibration)
-from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
+    camera_from_homographies)
+from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import MotionModel, ROTATION
-from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_from_facts,
                                                    with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.bundle.tolerances import (SHARE_OF_COST, TO_COMPARE_ROUGHLY,
-                                                       TO_MEASURE)
+from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEASURE
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            unchecked)
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
+from selfcal_ros.calibration.estimators.rotation_start import (best_rotation_start,
+                                                               RotationProblem)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
                                                                shutter_findings, timed)
 from selfcal_ros.calibration.estimators.sliding_images import only_slides
@@ -59,12 +59,11 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
-from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
-from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.values.parameter_status import unobservable_among
 from selfcal_ros.values.tracks import Tracks
 
@@ -79,15 +78,8 @@ MIN_NOISE_PX = 1e-3
 MAX_FOCAL_FRACTION = 30.0
 #: A skew beyond this share of the focal length is no camera's.
 MAX_SKEW_FRACTION = 0.2
-#: Focal lengths to start from where the closed form gives none, in longer image sides.
-_FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
-#: Starts whose costs differ by less than this share led to one optimum. Where rotations leave
-#: several times the noise nothing converges, and a rough optimum tells enough.
-SAME_COST, SAME_COST_AFAR, AFAR = 0.01, 0.05, 4.0
 #: Views of a stretch that tells whether there is any hope of a rotation.
 STRETCH = 24
-#: A start that leaves less than so many times what homographies leave needs no other.
-EXPLAINED_RATIO = 1.3
 #: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
@@ -101,39 +93,6 @@ def epipolar_noise(tracks: Tracks, frames: Sequence[int] | np.ndarray) -> float:
     data = PairMatches.from_pixels(pairs)
     F, cost, _, _ = refine_general(data, eight_point(data))
     return float(np.median(np.sqrt(cost / (4 * np.maximum(data.counts - 7, 1)))))
-
-
-@dataclass(frozen=True)
-class RotationProblem:
-    """
-    Views that rotations alone may explain, and what they start from.
-
-    Attributes
-    ----------
-    observed : Observations
-    frames : ndarray of int, shape (V,)
-        Frame of each view.
-    H : ndarray, shape (V - 1, 3, 3)
-        Homographies from the reference, which is the first in `order`.
-    order : ndarray of int, shape (V,)
-    conic : ConicCalibration or NoEstimate
-        The camera by these homographies.
-    sigma_px : float
-        Standard deviation of an image coordinate by them.
-    size : (int, int)
-        Width and height of the image, pixels.
-    facts : CameraFacts
-
-    """
-
-    observed: Observations
-    frames: np.ndarray
-    H: np.ndarray
-    order: np.ndarray
-    conic: ConicCalibration | NoEstimate
-    sigma_px: float
-    size: tuple[int, int]
-    facts: CameraFacts
 
 
 @dataclass(frozen=True)
@@ -247,7 +206,7 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     problem = RotationProblem(observed, frames, homographies.H, order, conic, sigma_px, size,
                               facts)
     motion = _zooming(frames) if varying else ROTATION
-    started = _best_start(problem, motion, hopeless_px)
+    started = best_rotation_start(problem, motion, hopeless_px)
     return started if isinstance(started, NoEstimate) else RotationFit(
         problem, motion, *started, epipolar_noise(tracks, frames))
 
@@ -259,7 +218,7 @@ def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = 
     if may_zoom and found.problem.facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
         motion = _zooming(found.frames)
-        started = _best_start(found.problem, motion)
+        started = best_rotation_start(found.problem, motion)
         if not isinstance(started, NoEstimate):
             start, start_px = started
             zoomed = replace(found, motion=motion, start=start, start_px=start_px)
@@ -270,36 +229,6 @@ def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = 
 def _zooming(frames: np.ndarray) -> MotionModel:
     """Return rotations with a focal length that varies."""
     return replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
-
-
-def _best_start(problem: RotationProblem, motion: MotionModel, hopeless_px: float = np.inf,
-                ) -> tuple[SceneState, float] | NoEstimate:
-    """Start with several cameras; return the best, and the noise that it leaves, pixels."""
-    facts, sigma_px = problem.facts, problem.sigma_px
-    priors = priors_from_facts(facts)
-    bundle = bundle_of(problem.observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
-    best, least, best_px = None, np.inf, np.inf
-    for K in _starting_cameras(problem):
-        state = _start(K, problem, priors.lens.name)
-        state = bundle.optimise(with_fixed(state, priors), iterations=6,
-                                tolerance=TO_COMPARE_ROUGHLY)
-        # no finer than starts are told apart
-        tolerance = max(TO_COMPARE_ROUGHLY, SHARE_OF_COST * bundle.cost(state))
-        state = bundle.optimise(state, iterations=24, tolerance=tolerance)
-        cost = bundle.cost(state)
-        left_px = bundle.noise_sigma(state)
-        # where no rotation is expected, two starts with one optimum speak for the others
-        same = SAME_COST_AFAR if left_px > AFAR * sigma_px else SAME_COST
-        agree = hopeless_px < np.inf and abs(cost - least) < same * cost
-        if best is None or cost < least:
-            best, least, best_px = state, cost, left_px
-        if left_px > hopeless_px:
-            return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
-                              facts=facts)
-        if agree or left_px < EXPLAINED_RATIO * sigma_px:
-            break
-    assert best is not None     # a range of focal lengths is always supposed
-    return best, best_px
 
 
 def _richest_lens(state: SceneState, problem: RotationProblem, motion: MotionModel,
@@ -413,24 +342,3 @@ def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit) -> NoEstima
             and seems_to_vary(fit, tuple(found.frames.astype(float).tolist()), size):
         return NoEstimate('focal_not_constant', motion='rotation', facts=facts)
     return None
-
-
-def _starting_cameras(problem: RotationProblem) -> Iterator[np.ndarray]:
-    """Closed form first, then supposed focal lengths with the principal point in the middle."""
-    if not isinstance(problem.conic, NoEstimate):
-        yield problem.conic.K
-    for share in _FOCAL_SWEEP:
-        yield supposed_matrix(share * max(problem.size), problem.size, problem.facts)
-
-
-def _start(K: np.ndarray, problem: RotationProblem, model: str) -> SceneState:
-    """Rotations nearest to K^-1 H K, and mean directions of the points."""
-    camera, observed = Camera(K, model=model), problem.observed
-    U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ problem.H @ K)
-    R = np.concatenate([np.eye(3)[None], U @ Vt])[problem.order]
-    rays = camera.rays(observed.xy)
-    world = np.einsum('nji,nj->ni', R[observed.view], rays)
-    total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)
-    points = np.column_stack([total / np.linalg.norm(total, axis=1, keepdims=True),
-                              np.zeros(len(total))])
-    return SceneState(Lens.of(camera), AxisPath.at_origin(np.eye(3), *swing_twist(R)), points)
