@@ -283,8 +283,9 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
             **status, 'fx': 'unobservable', 'fy': 'unobservable'})
     # the gates of every other motion
     verdict = verdict_on_facts(assessed, size, facts, stated)
-    deviates = None if verdict.is_kept else deviates_too_far(assessed.misfit, size,
-                                                             bundle.sigma_px, facts)
+    deviates = None if verdict.is_kept else deviates_too_far(
+        assessed.misfit, size, bundle.sigma_px, facts, verdict,
+        float(np.sqrt(covariance[0, 0]) / state.lens['f']))
     for refused in (most_agree(fit.outliers / len(observed.view)), unchecked(bundle),
                     verdict.refusal(covariance, state.lens['f']),
                     deviates and (verdict.cause or deviates)):

@@ -150,6 +150,10 @@ class FactsVerdict:
         return self if further is None else replace(self, contradicted=(further,
                                                                         *self.contradicted))
 
+    def concerns(self, fact: str) -> bool:
+        """Tell whether the images prefer something else to a fact, surely or perhaps."""
+        return fact in [one.fact for one in (*self.contradicted, *self.doubted)]
+
     @property
     def is_kept(self) -> bool:
         """Tell whether a fact counts that the images contradict."""
