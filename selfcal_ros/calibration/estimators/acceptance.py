@@ -63,7 +63,7 @@ MAX_BESIDE_ZOOM = 0.2
 #: image's longer side, or than so many sigmas of the noise. What deviates by more is not the lens.
 #: Of the recorded sets that are right the drone's deviates most, by 0.7e-4. Simulated lenses with
 #: bumps all over the image deviate by up to 4.4e-4 and 1.4 sigmas. The circles of `rct_circles`
-#: by 6.2e-4 and 2.2 sigmas, and its focal length was 13 sigmas off.
+#: by 6.2e-4 and 2.2 sigmas, and their principal point was off by 11 px.
 FIELD_FRACTION, FIELD_SIGMAS = 5e-4, 2.0
 #: The same where another lens model than the one that was stated explains the images better,
 #: which is told by its name, and where such a field is little beside sigma of the focal length.
