@@ -39,7 +39,7 @@ from selfcal_ros.calibration.estimators.rotation import fit_rotations
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
 from selfcal_ros.synthetic.special_scenes import drive
@@ -167,8 +167,7 @@ def test_a_camera_that_turns_about_its_centre_has_about_its_usual_sigmas():
 def state_of(sequence, tracks):
     """Put the truth together as a state of the adjustment."""
     poses = sequence.cam_from_world
-    path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(poses[:, :, :3])),
-                   translation=poses[:, :, 3])
+    path = replace(AxisPath.of_turns(poses[:, :, :3]), translation=poses[:, :, 3])
     names, point = np.unique(tracks.track, return_inverse=True)
     rows = np.lexsort((tracks.frame, point))
     points = np.column_stack([sequence.points[names], np.ones(len(names))])
@@ -184,7 +183,7 @@ def test_the_way_of_a_camera_is_measured_against_depths_wherever_the_point_that_
     shares = []
     for lever in ((0, 0, 0.8), (0, 300.0, 0.8)):
         poses = np.concatenate([R, np.tile(lever, (8, 1))[:, :, None]], axis=2)
-        path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(R)), translation=poses[:, :, 3])
+        path = replace(AxisPath.of_turns(R), translation=poses[:, :, 3])
         points = np.column_stack([rng.uniform(-1, 1, (50, 3)) * [2, 1, 1] + [0, 0, 4],
                                   np.ones(50)]) - [*lever, 0]
         shares.append(_moved_shares(SceneState(Lens.of(CAMERA), path, points))[0])

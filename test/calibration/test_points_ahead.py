@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, Observations
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.lens_posterior import moved_lens
 from selfcal_ros.calibration.uncertainty.points_ahead import _depths, _summed_up, points_ahead
-from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.hard_scenes import scene
 
 TRUTH = Camera([[520, 0, 328], [0, 520, 235], [0, 0, 1]], width=640, height=480)
@@ -46,7 +46,7 @@ def _of_head(seed, lever, depth_m=(2.0, 6.0), views=10, count=120, noise_px=0.2)
     tracks = seen.tracks.with_at_least(2)
     observed = Observations.of(tracks, np.arange(views))
     points = np.column_stack([seen.points[observed.track], np.ones(len(observed.track))])
-    path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(R)), translation=poses[:, :, 3])
+    path = replace(AxisPath.of_turns(R), translation=poses[:, :, 3])
     state = SceneState(Lens.of(TRUTH), path,
                        points / np.linalg.norm(points, axis=1, keepdims=True))
     held = {name: Prior(state.lens[name], 0.0) for name in ('aspect', 'skew', 'p1', 'p2')}

@@ -75,6 +75,11 @@ class AxisPath:
                    np.zeros((views, 3)))
 
     @classmethod
+    def of_turns(cls, R: np.ndarray) -> AxisPath:
+        """Take turns about the origin apart, world to view (V, 3, 3), for no mount."""
+        return cls.at_origin(np.eye(3), *swing_twist(R))
+
+    @classmethod
     def of_poses(cls, mount: np.ndarray, poses: np.ndarray) -> AxisPath:
         """Take poses [R | t] of every view, shape (V, 3, 4), apart for a mount (3, 3)."""
         turned = mount.T @ poses

@@ -33,7 +33,6 @@ from selfcal_ros.calibration.estimators.pivot import left_by_turns
 from selfcal_ros.calibration.estimators.rotation import RotationFit
 from selfcal_ros.calibration.estimators.sliding_images import LONG
 from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
-from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -137,7 +136,7 @@ def _is_hardly_near_turn(so_far: MotionsSeen) -> bool:
     rotations, graph = so_far.rotations, so_far.case.graph
     return (isinstance(rotations, RotationFit)
             and rotations.start_px > MAX_NOISE_OF_WEAK_PATH * graph.noise_px
-            and on_one_plane(graph) is None)
+            and so_far.case.in_plane is None)
 
 
 def _may_be_plane(so_far: MotionsSeen) -> bool:
@@ -217,7 +216,7 @@ def _try_turn(so_far: MotionsSeen) -> MotionsSeen:
 
 def _try_one_plane(so_far: MotionsSeen) -> MotionsSeen:
     """Calibrate from the tracks of one plane, where there is one."""
-    in_plane = on_one_plane(so_far.case.graph)
+    in_plane = so_far.case.in_plane
     return replace(so_far, plane=None if in_plane is None else so_far.case.over_a_plane(in_plane))
 
 

@@ -20,6 +20,7 @@ In which order, and when, is in `motion_choice`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from selfcal_ros.calibration.estimators.one_motion import UNEXPLAINED
 from selfcal_ros.calibration.estimators.pivot import decide_pivot, MAX_NOISE_OF_PIVOT
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)
+from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
@@ -142,6 +144,11 @@ class MovingCamera:
         """Tell whether most pairs show so little parallax that the camera may only have turned."""
         return self.has_little_parallax or (
             self.has_enough_views and self.graph.usual_parallax < MAX_PARALLAX_OF_MIDDLE)
+
+    @cached_property
+    def in_plane(self) -> ViewGraph | None:
+        """The views by the tracks of one plane, where most are in one."""
+        return on_one_plane(self.graph)
 
     def rotations(self) -> RotationFit | NoEstimate:
         """Fit rotations alone."""

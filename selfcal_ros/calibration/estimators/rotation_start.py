@@ -43,7 +43,6 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts, supposed_matrix
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import lengths
-from selfcal_ros.geometry.rotation import swing_twist
 
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
@@ -152,12 +151,10 @@ def _start(K: np.ndarray, problem: RotationProblem, model: str) -> SceneState:
     camera, observed = Camera(K, model=model), problem.observed
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ problem.H @ K)
     R = np.concatenate([np.eye(3)[None], U @ Vt])[problem.order]
-    rays = camera.rays(observed.xy)
-    world = np.einsum('nji,nj->ni', R[observed.view], rays)
-    total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)
-    points = np.column_stack([total / np.linalg.norm(total, axis=1, keepdims=True),
-                              np.zeros(len(total))])
-    return SceneState(Lens.of(camera), AxisPath.at_origin(np.eye(3), *swing_twist(R)), points)
+    turned = SceneState(Lens.of(camera), AxisPath.of_turns(R))
+    found = with_all_directions(turned, observed)
+    assert found is not None     # without coefficients a lens has a ray for every place
+    return found
 
 
 def _with_lost_views(state: SceneState, bundle: Bundle[SceneState],
@@ -175,5 +172,5 @@ def _with_lost_views(state: SceneState, bundle: Bundle[SceneState],
     found = completed_rotations(bundle.blocks, rays, rotations)
     if found is None:
         return state
-    turned = replace(state, path=AxisPath.at_origin(np.eye(3), *swing_twist(found)))
+    turned = replace(state, path=AxisPath.of_turns(found))
     return with_all_directions(turned, observed) or state

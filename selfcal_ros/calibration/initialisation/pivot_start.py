@@ -38,7 +38,7 @@ from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all
 from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import nearest_rotation, swing_twist
+from selfcal_ros.geometry.rotation import nearest_rotation
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Rounds of re-weighting.
@@ -111,7 +111,7 @@ class PivotPath:
         directions = self._directions(blocks, xy, camera)
         if not np.isfinite(directions).all():
             return
-        path = AxisPath.at_origin(np.eye(3), *swing_twist(self.rotations))
+        path = AxisPath.of_turns(self.rotations)
         for lever in levers:
             moved = path.about(lever)
             yield rescaled(SceneState(Lens.of(camera), moved, points_from_centres(
