@@ -18,6 +18,7 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.calibration.robot_poses import camera_by_poses
 from bench.inputs import data_folder, grey_frames, image_files, truth_of
 from bench.monte_carlo import run_seeds
 from bench.tables import percent, Report
@@ -99,11 +100,19 @@ def recorded(report: Report, name: str, motion: str, facts: CameraFacts, limits)
     result = calibrate(tracks, motion=motion, facts=facts)
     end = time.perf_counter()
     report.say(f'features {middle - began:.1f} s, estimate {end - middle:.1f} s')
+    by_poses = camera_by_poses(folder)
+    report.say(f'by the robot\'s poses: fx, fy, cx, cy {by_poses.intrinsics.round(2)} ± '
+               f'{by_poses.sigma.round(2)}; the board is {by_poses.flat_mm:.2f} mm rms from flat')
     if not result:
         report.judge(limits is None, f'refused: {result}')
         return
     errors = against(report, result, Camera(truth['K'], truth['dist']))
     report.say(' '.join(result.notes))
+    # the published cameras rest on a flat board
+    apart = result.camera.parameters[:4] - by_poses.intrinsics
+    variance = np.diag(result.covariance)[:4] + by_poses.sigma**2
+    report.verdict('camera by the robot\'s poses, largest',
+                   float(np.abs(apart / np.sqrt(variance)).max()), 3.0, 'sigmas of both')
     if limits is None:
         report.say(f'fx error {errors[0]:+.2f} %, principal point {errors[1]:.1f} px')
         # right or refused
