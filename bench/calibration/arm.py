@@ -102,7 +102,8 @@ def recorded(report: Report, name: str, motion: str, facts: CameraFacts, limits)
     report.say(f'features {middle - began:.1f} s, estimate {end - middle:.1f} s')
     by_poses = camera_by_poses(folder)
     report.say(f'by the robot\'s poses: fx, fy, cx, cy {by_poses.intrinsics.round(2)} ± '
-               f'{by_poses.sigma.round(2)}; the board is {by_poses.flat_mm:.2f} mm rms from flat')
+               f'{by_poses.sigma.round(2)}; leaves {by_poses.left_px:.3f} px; the board is '
+               f'{by_poses.flat_mm:.2f} mm rms from flat')
     if not result:
         report.judge(limits is None, f'refused: {result}')
         return

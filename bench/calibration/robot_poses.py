@@ -21,6 +21,7 @@ where it sits, what each pose is off by, and every point of the board by itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from bench.inputs import image_files, truth_of
@@ -66,6 +67,7 @@ class _Views:
         return _Views(self.R[kept], self.t[kept], self.xy[kept])
 
 
+@cache
 def camera_by_poses(folder: Path) -> CameraByPoses:
     """Return the camera of a recorded arm by its poses and by the points of its board."""
     truth = truth_of(folder)
