@@ -16,10 +16,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
 from selfcal_ros.geometry.lenses.plumb_bob import tangential
-from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.synthetic.special_scenes import drive, hand_held
 
 FISHEYE = Camera([[260.0, 0, 322.0], [0, 260, 236], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,
                  480, 'equidistant')
@@ -27,16 +28,21 @@ FISHEYE = Camera([[260.0, 0, 322.0], [0, 260, 236], [0, 0, 1]], (0.02, -0.01, 0.
 
 def decentred(p1, p2, seed):
     """Record a drive through that lens, and move the image as its elements would."""
-    tracks = drive(np.random.default_rng(seed), 0.3, 14, 350, 10, FISHEYE).tracks
-    f = FISHEYE.K[0, 0]
-    x, y = ((tracks.xy - FISHEYE.K[:2, 2]) / f).T
+    return moved(drive(np.random.default_rng(seed), 0.3, 14, 350, 10, FISHEYE).tracks, FISHEYE,
+                 p1, p2)
+
+
+def moved(tracks, camera, p1, p2):
+    """Move the images of a camera as decentred elements would."""
+    f = camera.K[0, 0]
+    x, y = ((tracks.xy - camera.K[:2, 2]) / f).T
     return replace(tracks, xy=tracks.xy + f * np.column_stack(
         tangential(p1, p2, x, y, x * x + y * y)))
 
 
-def errors(result):
+def errors(result, truth=FISHEYE):
     """Return fx, cx, cy off, in their sigmas."""
-    K = result.camera.K - FISHEYE.K
+    K = result.camera.K - truth.K
     return np.array([K[0, 0] / result.sigma['fx'], K[0, 2] / result.sigma['cx'],
                      K[1, 2] / result.sigma['cy']])
 
@@ -51,6 +57,20 @@ def test_the_sigmas_hold_what_the_model_of_a_fisheye_lacks():
     assert np.abs(errors(bent)).max() < 3 and 'fisheye_decentred' in told[1]
     # what is held there, not what is true everywhere
     assert bent.sigma['cx'] > 1.5 * plain.sigma['cx']
+
+
+@pytest.mark.parametrize('f, coefficients, seed, p', [
+    (268, (0.133, 0.065, -0.106, 0.04), 1, 0.0005),
+    (277, (0.174, -0.172, 0.132, -0.04), 0, 0.0005),
+    (338, (-0.079, -0.032, -0.017, 0.035), 0, 0.0015)])
+def test_a_decentred_fisheye_is_not_taken_for_a_rational_lens_that_has_p1_and_p2(
+        f, coefficients, seed, p):
+    """With the coefficients that its rival has for it, it was 3.8 to 6.2 sigmas off."""
+    camera = Camera([[f, 0, 318], [0, f, 236], [0, 0, 1]], coefficients, 640, 480, 'equidistant')
+    tracks = hand_held(np.random.default_rng(seed), 0.2, 20, 600, 12, camera).tracks
+    result = calibrate(moved(tracks, camera, p, p), facts=CameraFacts(1.0, 0.0))
+    assert result.camera.model == 'equidistant'
+    assert np.abs(errors(result, camera)).max() < 3
 
 
 def test_the_size_of_decentring_follows_the_images():

@@ -29,6 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.distortion_misfit import Supposed
+from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
                                                               Supposition)
 from selfcal_ros.findings.finding import Finding
@@ -121,6 +122,37 @@ def hidden_decentring(fit: RobustFit, variance_inflation: float, field: np.ndarr
         np.array([_is_certain(tested.value[one], tested.covariance[one, one])
                   for one in lenses]),
         response @ (after + np.outer(found, found)) @ response.T, every)
+
+
+def gain_by_decentring(fit: RobustFit, variance_inflation: float) -> float:
+    """
+    Return by how much decentring makes the images of a fisheye likelier.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum, of one camera.
+    variance_inflation : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    float
+        Of the log of their probability, for the likeliest of the sizes in `DECENTRING`. Zero where
+        none is likelier than no decentring, or the model has coefficients for it.
+
+    """
+    possible = possible_decentring(fit)
+    if possible is None:
+        return 0.0
+    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2'), possible.columns)],
+                               variance_inflation).test(_DECENTRING)
+    if not np.isfinite(tested.covariance).all():
+        return 0.0
+    values, vectors = np.linalg.eigh(np.linalg.pinv(tested.covariance, hermitian=True))
+    values = np.maximum(values, 0)
+    _, gain = most_probable_size(values, values * (vectors.T @ tested.value), DECENTRING)
+    return max(float(gain), 0.0)
 
 
 def possible_decentring(fit: RobustFit) -> Supposed | None:
