@@ -45,6 +45,7 @@ GROUPS = {
         'rough_shares': 'sigmas true beside rolling shutter, zoom, levers, wrong facts? hours',
         'further_worlds': 'bad days beside the shared ones: turned, torn, rounded, two at once',
         'mixed_worlds': 'worlds drawn at random from all troubles at once: right, or refused',
+        'loops': 'drives that go round and find their points again: right, or refused',
         'short_clips': 'clips that turn by 2 to 15 degrees: calibration, hint or refusal',
         'rendered_drive': 'rendered drive, images to K, beside COLMAP',
         'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
@@ -94,13 +95,14 @@ GROUPS = {
     'speed': {
         'speed': 'time of the estimate, of the command, and their growth',
         'stages': 'every stage of photographs to K beside its floor; the command beside COLMAP',
+        'laps': 'three laps in 1000 images, all keyframes: time, memory, loops; COLMAP beside',
         'long_recording': 'ten minutes of 1080p: time, memory, sigma beside every image: hours',
         'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     },
 }
 BENCHES = {name: what for group in GROUPS.values() for name, what in group.items()}
 #: Only when asked for by name.
-LONG = ('coverage', 'hostile_inputs', 'lenses', 'long_recording', 'mounts', 'wide_lenses',
+LONG = ('coverage', 'hostile_inputs', 'laps', 'lenses', 'long_recording', 'mounts', 'wide_lenses',
         'rough_shares', 'shutter')
 
 

@@ -164,6 +164,83 @@ def calibrate_lenses_with_colmap(files: list[Path], folder: Path, configurations
                seconds)
 
 
+#: Words of a vocabulary that is made of the images themselves, and vectors that it is made of.
+WORDS, WORD_VECTORS = 4096, 100_000
+
+
+def calibrate_sequence_with_colmap(files: list[Path], folder: Path, threads: int = 2,
+                                   ) -> tuple[Camera | None, int, float]:
+    """
+    Reconstruct images in their order, with loops found by a vocabulary.
+
+    Parameters
+    ----------
+    files : list of Path
+    folder : Path
+        Empty; for copies of the images and for the database.
+    threads : int
+
+    Returns
+    -------
+    camera : Camera or None
+        SIMPLE_RADIAL, principal point fixed; None where there is no reconstruction.
+    registered : int
+        Number of images in it.
+    seconds : float
+        Processor time of features, matching and mapping. The vocabulary is not counted: users
+        have one.
+
+    """
+    import pycolmap
+    pycolmap.logging.minloglevel = 2
+    database, images, words = folder / 'database.db', folder / 'images', folder / 'words.bin'
+    images.mkdir(parents=True)
+    for path in files:
+        shutil.copy(path, images / path.name)
+    began = time.process_time()
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = 'SIMPLE_RADIAL'
+    pycolmap.extract_features(
+        database, images, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader,
+        extraction_options=pycolmap.FeatureExtractionOptions(num_threads=threads))
+    seconds = time.process_time() - began
+    _write_vocabulary(database, words, threads)
+    began = time.process_time()
+    pairing = pycolmap.SequentialPairingOptions()
+    pairing.loop_detection, pairing.vocab_tree_path = True, str(words)
+    pairing.num_threads = threads
+    pycolmap.match_sequential(
+        database, pairing_options=pairing,
+        matching_options=pycolmap.FeatureMatchingOptions(num_threads=threads))
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = threads
+    found = pycolmap.incremental_mapping(database, images, folder, options)
+    seconds += time.process_time() - began
+    if not found:
+        return None, 0, seconds
+    best = max(found.values(), key=lambda one: one.num_reg_images())
+    return _camera_of(next(iter(best.cameras.values()))), best.num_reg_images(), seconds
+
+
+def _write_vocabulary(database: Path, words: Path, threads: int) -> None:
+    """Make a vocabulary of every tenth image or so."""
+    import pycolmap
+    rng = np.random.default_rng(0)
+    with pycolmap.Database.open(database) as opened:
+        names = [image.image_id for image in opened.read_all_images()]
+        vectors = np.concatenate([opened.read_descriptors(name).data
+                                  for name in names[::max(1, len(names) // 100)]])
+    looks = pycolmap.FeatureDescriptors()
+    looks.type = pycolmap.FeatureExtractorType.SIFT
+    looks.data = vectors[rng.permutation(len(vectors))[:WORD_VECTORS]]
+    options = pycolmap.VisualIndex.BuildOptions()
+    options.num_visual_words, options.num_iterations, options.num_rounds = WORDS, 20, 1
+    options.num_threads = threads
+    index = pycolmap.VisualIndex.create(128, 64)
+    index.build(options, looks.to_float())
+    index.write(str(words))
+
+
 def _give_lens(database: Path, model: str, start: Camera | None) -> None:
     """Change the model of the camera in a database, and forget what was verified with it."""
     import pycolmap

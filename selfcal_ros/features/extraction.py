@@ -37,6 +37,7 @@ from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, Verified, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.features.still_features import still_features, without_still
+from selfcal_ros.features.surplus import ENOUGH_POSITIONS, without_surplus
 from selfcal_ros.features.video_curvature import KeptFrame, without_feigned_shifts
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.neighbours import Film, SeenPoints
@@ -249,6 +250,9 @@ def _wide(album: _Album, report: Progress, max_keyframes: int, seed: int, findin
     stamps = {index: stamps[index] for index in indices}
     if not len(image):
         return Tracks([], [], np.empty((0, 2)), size, stamps), keyframes
+    enough = _enough(image, track, findings, seed)
+    image, place = image[enough], place[enough]
+    track = np.unique(track[enough], return_inverse=True)[1]
     report('registration', 0)
     xy, good = registered_positions(features, images, image, place, track, matches)
     findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
@@ -316,8 +320,19 @@ def _video(frames: Iterable[Frame], report: Progress, max_keyframes: int, seed: 
                     np.concatenate([filmed[index].neighbours for index in keyframes.tolist()]
                                    or [np.empty((0, 2, 3))]))
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
-    verified = _finished(tracks.with_at_least(2), findings, seed)
+    tracks = tracks.with_at_least(2)
+    tracks = tracks.select(_enough(tracks.frame, tracks.track, findings, seed))
+    verified = _finished(tracks, findings, seed)
     return without_feigned_shifts(verified, kept), keyframes
+
+
+def _enough(image: np.ndarray, track: np.ndarray, findings: list[Finding], seed: int,
+            ) -> np.ndarray:
+    """Tell which positions are used, shape (N,) of bool, and say where that is not all."""
+    used = without_surplus(image, track, ENOUGH_POSITIONS, np.random.default_rng(seed))
+    if not used.all():
+        findings.append(Finding('positions_surplus', used=int(used.sum()), positions=len(used)))
+    return used
 
 
 def finish_tracks(tracks: Tracks, findings: list[Finding], seed: int) -> Tracks:

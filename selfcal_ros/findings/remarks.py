@@ -382,6 +382,11 @@ REMARKS: dict[str, Phrase] = {
         '{frames} of the frames were used, evenly spaced.',
         'More images than are needed were given.',
         'Nothing.'),
+    'positions_surplus': Phrase(
+        '{used} of {positions} positions were used, about as many in every image.',
+        'More positions would not tell the camera better than its lens follows the model. They '
+        'would take time and memory.',
+        'Nothing.'),
     'division_model': Phrase(
         'Matches were verified along curved epipolar lines, for a lens bend of '
         '{distortion:.2g}.',

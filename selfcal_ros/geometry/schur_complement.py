@@ -37,6 +37,11 @@ from selfcal_ros.geometry.view_chain import chain_of_views
 #: the tracks and not with that of the sequence. Large groups take fewer calls, smaller ones fewer
 #: products: where they need less than this share, they are taken.
 GROUP_POINTS, PART_POINTS, WORTH_SPLITTING = 192, 64, 0.7
+#: Of so many views a place may be seen on several laps: points are put beside those that the same
+#: stretches of so many views see, and groups are smaller.
+MANY_VIEWS, STRETCH, SMALLER_PART = 200, 32, 16
+#: Stretches of views that are subtracted one by one, at most.
+MOST_RUNS = 16
 
 
 class _Group(NamedTuple):
@@ -92,9 +97,7 @@ class PointBlocks:
         self._transposed: tuple[np.ndarray, np.ndarray, csr_array] | None = None
         self.chain = chain_of_views(point, view, self.view_count)
         place = view if self.chain is None else self.chain.place[view]
-        last = np.maximum.reduceat(place, self.first)
-        begin = np.minimum.reduceat(place, self.first)
-        order = np.lexsort((last, begin))
+        order = _beside_alike(point, place, self.first)
         # observations of one point in one view are added up before the points are eliminated
         self._cells = np.flatnonzero(np.r_[True, (np.diff(point) != 0) | (np.diff(view) != 0)])
         first = np.searchsorted(self._cells, self.first)
@@ -111,13 +114,19 @@ class PointBlocks:
             return _Group(members, rows, slot, (np.cumsum(seen) - 1)[cell_place[rows]],
                           np.flatnonzero(seen))
 
+        def split(whole: _Group, sizes: tuple[int, ...]) -> list[_Group]:
+            if not sizes:
+                return [whole]
+            parts = [group(whole.members[at:at + sizes[0]])
+                     for at in range(0, len(whole.members), sizes[0])]
+            if sum(part.products for part in parts) >= WORTH_SPLITTING * whole.products:
+                return [whole]
+            return [smaller for part in parts for smaller in split(part, sizes[1:])]
+
+        sizes = (PART_POINTS,) if self.view_count < MANY_VIEWS else (PART_POINTS, SMALLER_PART)
         self._groups: list[_Group] = []
         for start in range(0, self.point_count, GROUP_POINTS):
-            whole = group(order[start:start + GROUP_POINTS])
-            parts = [group(whole.members[at:at + PART_POINTS])
-                     for at in range(0, len(whole.members), PART_POINTS)]
-            split = sum(part.products for part in parts) < WORTH_SPLITTING * whole.products
-            self._groups += parts if split else [whole]
+            self._groups += split(group(order[start:start + GROUP_POINTS]), sizes)
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
@@ -353,6 +362,19 @@ class UnreducedSystem(NamedTuple):
         return system
 
 
+def _beside_alike(point: np.ndarray, place: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Order points such that neighbours are seen from about the same views."""
+    begin, last = np.minimum.reduceat(place, first), np.maximum.reduceat(place, first)
+    keys = [last, begin]
+    views = int(last.max()) + 1
+    if views >= MANY_VIEWS:
+        seen = np.zeros((len(first), -(-views // STRETCH)), bool)
+        seen[point, place // STRETCH] = True
+        # stretches as the digits of a number, those seen first before the others
+        keys += list(~np.packbits(seen, axis=1).T[::-1])
+    return np.lexsort(keys)
+
+
 def _places(window: np.ndarray, g: int, v: int) -> slice | np.ndarray:
     """Tell where the unknowns of some views stand among all."""
     first, last = int(window[0]), int(window[-1])
@@ -370,6 +392,15 @@ def _subtract(matrix: np.ndarray, gram: np.ndarray, g: int, own: slice | np.ndar
         matrix[own, :g] -= gram[g:, :g]
         matrix[own, own] -= gram[g:, g:]
         return
-    # numbers of a flat array take half the time of rows and columns
     rows = np.r_[:g, own]
-    matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
+    ends = np.flatnonzero(np.r_[np.diff(rows) != 1, True]) + 1
+    if len(ends) > MOST_RUNS:
+        # numbers of a flat array take half the time of rows and columns
+        matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
+        return
+    # a few stretches of views, as on several laps: whole rows are quicker than single numbers
+    runs = [(slice(begin, end), slice(rows[begin], rows[end - 1] + 1))
+            for begin, end in zip(np.r_[0, ends[:-1]].tolist(), ends.tolist())]
+    for part, at in runs:
+        for other, there in runs:
+            matrix[at, there] -= gram[part, other]

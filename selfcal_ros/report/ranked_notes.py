@@ -46,7 +46,8 @@ _WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_
           'rolling_shutter_stated', 'tracks_moving', 'motion_suggestion', 'motion_needed')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'division_model',
-         'tracks_contradictory', 'positions_unregistered', 'positions_contradictory',
+         'tracks_contradictory', 'positions_surplus', 'positions_unregistered',
+         'positions_contradictory',
          'keyframes_chosen', 'views_used', 'compressed_taken', 'image_circle', 'static_matches',
          'still_tracks', 'static_tracks', 'static_region',
          'pairs_degenerate', 'object_seen', 'object_followed', 'translation_groups',

@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.geometry import schur_complement
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -85,6 +86,41 @@ def test_elimination_solves_the_whole_system():
     np.testing.assert_allclose(system.point_steps(step).ravel(), points, rtol=1e-5, atol=1e-8)
     change = system.predict(step, system.point_steps(step))
     np.testing.assert_allclose(change.ravel(), J @ np.r_[step, points], rtol=1e-5, atol=1e-6)
+
+
+def test_points_seen_on_several_laps_are_eliminated_in_any_groups(monkeypatch):
+    """Three laps of 100 views: the same matrix as in one order of the points, for less work."""
+    rng = np.random.default_rng(4)
+    point, view = [], []
+    for one in range(900):
+        begin, length = rng.integers(100), rng.integers(2, 9)
+        for lap in np.flatnonzero(rng.random(3) < 0.6):
+            point.append(np.full(length, one))
+            view.append(np.unique(100 * lap + (begin + np.arange(length)) % 100))
+    point, view = np.unique(np.column_stack([np.concatenate(point), np.concatenate(view)]),
+                            axis=0).T
+    point = np.unique(point, return_inverse=True)[1]
+    columns = [rng.standard_normal((len(point), 2, k)) for k in (4, 3, 3)]
+    residual = rng.standard_normal((len(point), 2))
+
+    def system():
+        blocks = PointBlocks(point, view)
+        return blocks, blocks.unreduced(*columns, residual).reduced(1e-3)
+
+    # with or without levels of views
+    monkeypatch.setattr(schur_complement, 'chain_of_views', lambda *_: None)
+    blocks, by_laps = system()
+    monkeypatch.setattr(schur_complement, 'MANY_VIEWS', 10**6)
+    plain_blocks, plain = system()
+    scale = np.abs(plain.matrix).max()
+    np.testing.assert_allclose(by_laps.matrix, plain.matrix, atol=1e-12 * scale)
+    np.testing.assert_allclose(by_laps.gradient, plain.gradient, atol=1e-12 * scale)
+    step = rng.standard_normal(len(plain.matrix))
+    np.testing.assert_allclose(by_laps.point_steps(step), plain.point_steps(step), rtol=1e-6,
+                               atol=1e-9)
+    work, plain_work = (sum(group.products for group in one._groups)
+                        for one in (blocks, plain_blocks))
+    assert work < 0.6 * plain_work
 
 
 def test_views_that_share_no_window_are_grouped_right():

@@ -107,17 +107,18 @@ def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
         scale = np.maximum(scale, RANK_TOLERANCE * (
             abs(E).T @ diagonal if places is None else diagonal[places]))
     root = np.sqrt(scale)
-    scales = np.outer(root, root)
-    H /= scales
+    H /= np.outer(root, root)
     factor, failed = dpotrf(H)
     # the reciprocal condition in the 1-norm bounds that of the eigenvalues from below
-    if not failed and dpocon(factor, np.abs(H).sum(axis=0).max())[0] > 10 * RANK_TOLERANCE:
-        inverse = np.triu(dpotri(factor)[0])
-        inverse += np.triu(inverse, 1).T
+    if not failed and dpocon(factor, np.linalg.norm(H, 1))[0] > 10 * RANK_TOLERANCE:
+        # thousands of views: one matrix less is some hundred megabytes
+        inverse = np.triu(dpotri(factor, overwrite_c=1)[0])
+        del H, factor
+        np.copyto(inverse, inverse.T, where=np.tri(len(inverse), k=-1, dtype=bool))
     else:
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
-    inverse /= scales
+    inverse /= np.outer(root, root)
     if places is None:
         spread: np.ndarray = E @ (E @ inverse).T
     else:

@@ -52,7 +52,9 @@ from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start
-from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.initialisation.problem import (ROUND_WINDOWS,
+                                                            SelfCalibrationProblem,
+                                                            WINDOW_VIEWS)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
@@ -92,6 +94,8 @@ class OneMotion:
         Calibrations to start from.
     near : RobustFit or None
         A fit to start from, too.
+    window_views : int
+        Views that the search begins with, at most.
 
     """
 
@@ -99,11 +103,12 @@ class OneMotion:
     graph: ViewGraph
     proposals: list[Camera]
     near: RobustFit | None
+    window_views: int = WINDOW_VIEWS
 
     @cached_property
     def window(self) -> SelfCalibrationProblem:
         """The views of the starts, which do not suppose what the images may contradict."""
-        window = self.problem.window()
+        window = self.problem.window(self.window_views)
         return replace(window, motion=replace(window.motion, parallel=()))
 
     @cached_property
@@ -112,11 +117,20 @@ class OneMotion:
         observations = self.window.observations
         return observations.select(observations.longest(MODEL_TRACKS_PER_VIEW))[0]
 
+    @property
+    def _near_window(self) -> RobustFit | None:
+        """The fit to start from, too, unless it is of all views and the window is not."""
+        near = self.near
+        return None if near is None or len(near.state.path) != self.window.views else near
+
     def with_any_focal(self) -> Calibration | NoEstimate:
         """Calibrate with a focal length that is constant if that is possible, else with any."""
         if self.problem.facts.focal == 'varying' and self.problem.instants:
             return self._zooming().result()
         result = self.result()
+        if not result and result.kind in UNEXPLAINED and self.window.turns_round():
+            few = replace(self, window_views=ROUND_WINDOWS[0]).result()
+            result = few or result
         if may_zoom(self.problem) and not result and result.kind in UNEXPLAINED:
             zoomed = self._zooming().result()
             result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
@@ -157,12 +171,13 @@ class OneMotion:
     def _start(self) -> tuple[SceneState, NoEstimate | None] | NoEstimate:
         """Return a start, and what it leaves unexplained if that may be rows read in turn."""
         problem = self.problem
-        started = best_start(self.window, self.proposals)
+        started = best_start(self.window, [*self._of_few_views(), *self.proposals])
         if isinstance(started, NoEstimate):
             return started
         start, noise_px = started
-        if self.near is not None and not noise_px < EXPLAINED * problem.noise_px:
-            start, noise_px = self.near.state, self.near.bundle.sigma_px
+        near = self._near_window
+        if near is not None and not noise_px < EXPLAINED * problem.noise_px:
+            start, noise_px = near.state, near.bundle.sigma_px
         as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
         if start is None or not np.isfinite(noise_px):
             return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
@@ -172,9 +187,24 @@ class OneMotion:
                           noise_px=problem.noise_px, motion=as_far_as_told)
         return (start, left) if may_be_rolling(self.window, noise_px) else left
 
+    def _of_few_views(self) -> list[Camera]:
+        """
+        Propose a camera by fewer views, then by more, where the path may close a loop.
+
+        The turns between the views of a loop contradict each other by any other focal length.
+        """
+        found: list[Camera] = []
+        for most in ROUND_WINDOWS if self.window.turns_round() else ():
+            few = self.window.window(most)
+            started = best_start(few, [*found, *self.proposals])
+            if not isinstance(started, NoEstimate) and started[0] is not None:
+                found = [started[0].camera(*few.size)]
+        return found
+
     def _first_fit(self, start: SceneState) -> RobustFit | NoEstimate:
         """Fit the medium tracks, and mend what starts have wrong."""
-        problem, window, medium, near = self.problem, self.window, self.medium, self.near
+        problem, window, medium = self.problem, self.window, self.medium
+        near = self._near_window
         # far out of the plane, against a prior that pulls there: no need to go on
         if self._is_out_of_plane(start, 2 * MAX_TILT_RAD):
             return not_planar(out_of_plane_rad(start.path))

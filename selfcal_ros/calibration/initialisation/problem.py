@@ -42,6 +42,8 @@ START_PRINCIPAL_POINT_FRACTION = 0.06
 #: Longer sequences are started, and their models chosen, on the stretch of so many successive
 #: views that turns most: the time for that does not grow with the sequence.
 WINDOW_VIEWS = 48
+#: Views that turn so far may close a loop. They are started on so many of them first.
+ROUND_RAD, ROUND_WINDOWS = np.radians(270.0), (12, 24)
 #: Tracks per view that the estimate uses; more add time and little accuracy.
 TRACKS_PER_VIEW = 400
 
@@ -90,22 +92,34 @@ class SelfCalibrationProblem:
                      for exact in ways]
         return [state for state in found if state is not None]
 
-    def window(self) -> SelfCalibrationProblem:
-        """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
-        if self.views <= WINDOW_VIEWS:
-            return self
+    def turns_round(self) -> bool:
+        """Tell whether the camera turns so far between any two views that a loop may close."""
+        if self.views <= ROUND_WINDOWS[0]:
+            return False
+        turned = np.cumsum(self._turns(), axis=0)
+        apart = np.linalg.norm(turned[:, None] - turned, axis=2)
+        return bool(apart.max() > ROUND_RAD)
+
+    def _turns(self) -> np.ndarray:
+        """Rotation vectors (V - 1, 3) from view to view, if the camera is a usual one."""
         camera = supposed_camera(
             likely_focal_lengths(self.size, self.bend, (1.0,))[0], self.size, self.facts,
             self.bend)
         near = [pair for pair in self.pairs if pair.second - pair.first == 1]
-        turn = np.zeros(self.views - 1)
-        turn[[pair.first for pair in near]] = np.linalg.norm(
-            rotation_vector(relative_rotations(near, camera)), axis=1)
-        first = int(np.argmax(np.convolve(turn, np.ones(WINDOW_VIEWS - 1), 'valid')))
-        last = first + WINDOW_VIEWS
+        turns = np.zeros((self.views - 1, 3))
+        turns[[pair.first for pair in near]] = rotation_vector(relative_rotations(near, camera))
+        return turns
+
+    def window(self, most: int = WINDOW_VIEWS) -> SelfCalibrationProblem:
+        """Return the stretch of so many views that turns most, this problem if it is short."""
+        if self.views <= most:
+            return self
+        turn = np.linalg.norm(self._turns(), axis=1)
+        first = int(np.argmax(np.convolve(turn, np.ones(most - 1), 'valid')))
+        last = first + most
         pairs = [replace(pair, first=pair.first - first, second=pair.second - first)
                  for pair in self.pairs if first <= pair.first and pair.second < last]
-        if len(spanning_order(pairs, WINDOW_VIEWS)) < WINDOW_VIEWS - 1:
+        if len(spanning_order(pairs, most)) < most - 1:
             return self
         observations = self.observations
         inside = (observations.view >= first) & (observations.view < last)

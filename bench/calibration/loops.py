@@ -1,0 +1,82 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Drives that go round once or more, and find their points again: right, or refused?
+
+Views, turns, step, camera and points of each are drawn. The turns between the views of a loop
+contradict each other by any but the true focal length, which starts have to bear.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+import time
+
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
+import numpy as np
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.synthetic.lap_scenes import laps
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
+NOISE_PX = 0.3
+#: Beyond so many stated sigmas a result is wrong.
+MAX_SIGMAS = 4.0
+#: From view to view.
+SHARP_DEG = 20.0
+
+
+def run(report: Report, options) -> None:
+    """Print one line for all, one for those that turn far from view to view, and the wrong."""
+    runs = options.runs or 100
+    report.section(f'{runs} drives of 24 to 69 views that turn by 300 to 900 degrees',
+                   f'{NOISE_PX} px; nothing stated but square pixels.')
+    found = run_seeds(partial(one_run, NOISE_PX), range(runs), options.processes)
+    rows = []
+    gentle = [one for one in found if one['step_deg'] < SHARP_DEG]
+    sharp = [one for one in found if one['step_deg'] >= SHARP_DEG]
+    for name, some in ((f'turns from view to view below {SHARP_DEG:g}°', gentle),
+                       ('above', sharp)):
+        errors = np.array([one['errors'] for one in some if one['errors'] is not None])
+        if some:
+            rms = np.sqrt(np.mean(np.square(errors), axis=0)) if len(errors) else [np.nan] * 3
+            rows.append((name, len(some), len(some) - len(errors),
+                         ' '.join(f'{one:.2f}' for one in rms),
+                         f'{np.abs(errors).max(initial=0):.1f}',
+                         f"{np.median([one['seconds'] for one in some]):.1f}",
+                         f"{max(one['seconds'] for one in some):.0f}"))
+    report.table(('', 'drives', 'refused', 'rms of fx, cx, cy in sigmas', 'largest',
+                  'median s', 'longest'), rows)
+    wrong = [(seed, one) for seed, one in enumerate(found)
+             if one['errors'] is None or np.abs(one['errors']).max() > MAX_SIGMAS]
+    for seed, one in wrong:
+        report.say(f'- seed {seed}: {one["reason"] or np.round(one["errors"], 1)}')
+    report.say('')
+    report.verdict('wrong or refused', len(wrong), 0)
+
+
+def one_run(noise_px: float, seed: int) -> dict:
+    """Calibrate from one drive."""
+    scene = laps(np.random.default_rng(seed), noise_px)
+    turned = scene.cam_from_world[1:, :, :3] @ np.swapaxes(scene.cam_from_world[:-1, :, :3], 1, 2)
+    step = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    began = time.process_time()
+    result = calibrate(scene.tracks, facts=FACTS)
+    spent = {'seconds': time.process_time() - began, 'step_deg': float(step.mean())}
+    if not result:
+        return {**spent, 'errors': None, 'reason': result.kind}
+    K, truth = result.camera.K, scene.camera.K
+    errors = [(K[at] - truth[at]) / result.sigma[name]
+              for name, at in (('fx', (0, 0)), ('cx', (0, 2)), ('cy', (1, 2)))]
+    return {**spent, 'errors': errors, 'reason': ''}
