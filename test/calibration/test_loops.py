@@ -11,19 +11,62 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR, PLANAR
+from selfcal_ros.calibration.bundle.plane_of_motion import choose_motion
+from selfcal_ros.calibration.bundle.robust_fit import with_all_points
+from selfcal_ros.calibration.estimators.model_selection import first_fit
+from selfcal_ros.calibration.estimators.motion_problem import problem_of
+from selfcal_ros.calibration.estimators.one_motion import with_any_focal
+from selfcal_ros.calibration.initialisation.multi_start import starts
+from selfcal_ros.calibration.initialisation.problem import WINDOW_VIEWS
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.synthetic.lap_scenes import laps
+from selfcal_ros.synthetic.special_scenes import drive
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 
 
 # an exception, and two refusals: starts by a wrong focal length cannot close the loop
 @pytest.mark.parametrize('seed', [7, 8, 29])
 def test_a_drive_that_comes_back_to_its_points_is_calibrated(seed):
     scene = laps(np.random.default_rng(seed))
-    found = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+    found = calibrate(scene.tracks, facts=FACTS)
 
     error = found.camera.parameters[[0, 2, 3]] - scene.camera.parameters[[0, 2, 3]]
     sigma = np.array([found.sigma[name] for name in ('fx', 'cx', 'cy')])
     assert (np.abs(error) < 3 * sigma).all()
     assert sigma[0] < 5e-3 * scene.camera.parameters[0]
+
+
+@pytest.fixture(scope='module')
+def long_drive():
+    """Return a drive of more views than searches begin with: scene, graph, problem and fit."""
+    scene = drive(np.random.default_rng(2), 0.3, WINDOW_VIEWS + 8, 900, 12)
+    graph = build_view_graph(scene.tracks, np.random.default_rng(0))
+    problem = replace(problem_of(graph, (640, 480), FACTS), motion=NEARLY_PLANAR)
+    (start, _), = starts(problem, iter([scene.camera]))
+    fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))
+    return scene, graph, problem, fit
+
+
+def test_a_fit_of_all_views_is_no_start_for_some_of_them(long_drive):
+    """An exception before: it has a pose for views that the search has not."""
+    scene, graph, problem, fit = long_drive
+    assert len(fit.state.path) > problem.window().views
+    found = with_any_focal(problem, graph, [scene.camera], fit)
+    assert abs(found.camera.K[0, 0] - scene.camera.K[0, 0]) < 4 * found.sigma['fx']
+
+
+def test_a_plane_that_is_exact_already_is_no_matter_of_choice(long_drive):
+    """A division by zero before, where the adjustment ended a little higher once more."""
+    *_, problem, _ = long_drive
+    exact = replace(problem, motion=PLANAR)
+    (start, _), = starts(exact, iter([long_drive[0].camera]))
+    fit = first_fit(exact, exact.observations, with_all_points(start, exact.observations))
+    chosen, is_exact = choose_motion(fit)
+    assert is_exact and chosen is fit

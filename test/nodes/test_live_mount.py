@@ -151,7 +151,7 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, sou
         rotation_vector(np.array(found['T_body_camera'])[:3, :3] @ mount[:3, :3].T)])
     sigma = np.array([found['sigma'][name] for name in NAMES[:6]])
     assert (np.abs(errors) < 4 * sigma).all() and sigma[[0, 1]].max() < 0.03
-    assert sigma[3:].max() < np.radians(0.5)
+    assert sigma[3:].max() < np.radians(0.5), found
     # who comes late gets it, too
     late = graph.listen(TransformStamped, 'planar_calibrator/mount', LATCHED)
     graph.wait_for(lambda: late, what='the latched mount')

@@ -69,6 +69,9 @@ def choose_motion(relaxed: RobustFit, variance_inflation: float = 1.0) -> tuple[
     exact : bool
 
     """
+    if not relaxed.motion.tilt_sigma_rad:
+        # decided before, on other tracks of the same recording
+        return relaxed, True
     flat = replace(relaxed.state, path=relaxed.state.path.flat())
     exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
     freedom = 3 * len(flat.path) - 1
