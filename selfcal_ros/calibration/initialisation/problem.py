@@ -42,8 +42,9 @@ START_PRINCIPAL_POINT_FRACTION = 0.06
 #: Longer sequences are started, and their models chosen, on the stretch of so many successive
 #: views that turns most: the time for that does not grow with the sequence.
 WINDOW_VIEWS = 48
-#: Views that turn so far may close a loop. They are started on so many of them first.
-ROUND_RAD, ROUND_WINDOWS = np.radians(270.0), (12, 24)
+#: Views that turn so far by a usual lens may close a loop: twice as far by a wide one. They are
+#: started on so many of them first.
+ROUND_RAD, ROUND_WINDOWS = np.radians(180.0), (12, 24)
 #: Tracks per view that the estimate uses; more add time and little accuracy.
 TRACKS_PER_VIEW = 400
 
