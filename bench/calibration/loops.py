@@ -27,6 +27,7 @@ from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.synthetic.lap_scenes import laps
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
@@ -38,7 +39,7 @@ SHARP_DEG = 20.0
 
 
 def run(report: Report, options) -> None:
-    """Print one line for all, one for those that turn far from view to view, and the wrong."""
+    """Print a line for gentle turns from view to view, one for sharp ones, and the wrong."""
     runs = options.runs or 100
     report.section(f'{runs} drives of 24 to 69 views that turn by 300 to 900 degrees',
                    f'{NOISE_PX} px; nothing stated but square pixels.')
@@ -70,7 +71,7 @@ def one_run(noise_px: float, seed: int) -> dict:
     """Calibrate from one drive."""
     scene = laps(np.random.default_rng(seed), noise_px)
     turned = scene.cam_from_world[1:, :, :3] @ np.swapaxes(scene.cam_from_world[:-1, :, :3], 1, 2)
-    step = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    step = np.degrees(np.linalg.norm(rotation_vector(turned), axis=1))
     began = time.process_time()
     result = calibrate(scene.tracks, facts=FACTS)
     spent = {'seconds': time.process_time() - began, 'step_deg': float(step.mean())}
