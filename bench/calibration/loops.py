@@ -12,14 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Drives that go round once or more, and find their points again: right, or refused?
+Drives that go round and find their points again, and drives that pause: right, or refused?
 
 Views, turns, step, camera and points of each are drawn. The turns between the views of a loop
-contradict each other by any but the true focal length, which starts have to bear.
+contradict each other by any but the true focal length, which starts have to bear. A vehicle that
+stands or turns on the spot sees points without depth, which must not hold the camera.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 import time
 
@@ -29,6 +31,8 @@ import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.synthetic.lap_scenes import laps
+from selfcal_ros.synthetic.pause_scenes import pauses
+from selfcal_ros.synthetic.scenes import PointSequence
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 NOISE_PX = 0.3
@@ -39,11 +43,16 @@ SHARP_DEG = 20.0
 
 
 def run(report: Report, options) -> None:
-    """Print a line for gentle turns from view to view, one for sharp ones, and the wrong."""
+    """Print a table of loops, and one of pauses."""
     runs = options.runs or 100
-    report.section(f'{runs} drives of 24 to 69 views that turn by 300 to 900 degrees',
-                   f'{NOISE_PX} px; nothing stated but square pixels.')
-    found = run_seeds(partial(one_run, NOISE_PX), range(runs), options.processes)
+    for scene, title in ((laps, 'drives of 24 to 69 views that turn by 300 to 900 degrees'),
+                         (pauses, 'drives that stand or turn on the spot for a while')):
+        report.section(f'{runs} {title}', f'{NOISE_PX} px; nothing stated but square pixels.')
+        _print_drives(report, run_seeds(partial(one_run, scene), range(runs), options.processes))
+
+
+def _print_drives(report: Report, found: list[dict]) -> None:
+    """Print a line for gentle turns from view to view, one for sharp ones, and the wrong."""
     rows = []
     gentle = [one for one in found if one['step_deg'] < SHARP_DEG]
     sharp = [one for one in found if one['step_deg'] >= SHARP_DEG]
@@ -67,9 +76,9 @@ def run(report: Report, options) -> None:
     report.verdict('wrong or refused', len(wrong), 0)
 
 
-def one_run(noise_px: float, seed: int) -> dict:
+def one_run(drive: Callable[..., PointSequence], seed: int) -> dict:
     """Calibrate from one drive."""
-    scene = laps(np.random.default_rng(seed), noise_px)
+    scene = drive(np.random.default_rng(seed), NOISE_PX)
     turned = scene.cam_from_world[1:, :, :3] @ np.swapaxes(scene.cam_from_world[:-1, :, :3], 1, 2)
     step = np.degrees(np.linalg.norm(rotation_vector(turned), axis=1))
     began = time.process_time()

@@ -63,6 +63,11 @@ class MotionModel:
         """Tell whether there is a plane of motion at all, exact or not."""
         return bool(np.isfinite(self.tilt_sigma_rad))
 
+    @property
+    def goes_anywhere(self) -> bool:
+        """Tell whether the camera's centre has a path, along which depths show."""
+        return not (self.fixed_centre or self.fixed_pivot)
+
     def is_more_uneven_than(self, other: MotionModel) -> bool:
         """Tell whether it lets the camera leave the plane further."""
         return (self.tilt_sigma_rad > other.tilt_sigma_rad

@@ -24,6 +24,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
 from selfcal_ros.calibration.bundle.clock import Clock
+from selfcal_ros.calibration.bundle.hidden_depths import hidden_depths, with_hidden_depths
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
@@ -311,7 +312,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
     RobustFit
 
     """
-    before = len(observations.view)
+    before, supposed_px = len(observations.view), sigma_px
     for k in range(rounds):
         observations = observations.displaced(state)
         bundle = bundle_of(observations, motion, priors, sigma_px)
@@ -330,7 +331,12 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
             break
         distance = np.linalg.norm(bundle.residuals(state), axis=1)
         keep = distance < OUTLIER_SIGMAS * estimate      # NaN, behind the camera: not kept
-        settled = abs(estimate / sigma_px - 1) < 0.02 or len(keep) - keep.sum() < FEW * len(keep)
+        # what a bad start leaves is no noise that could hide depths
+        shown = _with_directions(bundle.with_sigma(min(estimate, supposed_px)), state,
+                                 observations, motion)
+        settled = shown is state and (
+            abs(estimate / sigma_px - 1) < 0.02 or len(keep) - keep.sum() < FEW * len(keep))
+        state = shown
         sigma_px = estimate
         if keep.all():
             if settled:
@@ -356,6 +362,19 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
             break
     return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                      before - len(observations.view))
+
+
+def _with_directions(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
+                     motion: MotionModel) -> SceneState:
+    """Take points whose depth no view shows for directions; the same state where none changes."""
+    if not motion.goes_anywhere or observations.camera is not None:
+        return state
+    hidden = hidden_depths(state, bundle.blocks, bundle.sigma_px)
+    if (hidden == (state.points[:, 3] == 0)).all():
+        return state
+    directions = _directions(state, observations)
+    return state if directions is None else with_hidden_depths(state, bundle.blocks, hidden,
+                                                               directions)
 
 
 def _predicted(bundle: Bundle[SceneState], observations: Observations, state: SceneState,

@@ -78,8 +78,15 @@ class SceneState(BundleState):
 
     @cached_property
     def tangents(self) -> np.ndarray:
-        """Directions in which the points may move, shape (P, 4, 3)."""
-        return tangent_basis(self.points)
+        """
+        Directions in which the points may move, shape (P, 4, 3).
+
+        Along a path, those exactly at infinity stay there; see `hidden_depths`.
+        """
+        basis = tangent_basis(self.points)
+        if self.path.translation.any():
+            basis[self.points[:, 3] == 0, 3] = 0
+        return basis
 
     def of_views(self, kept: np.ndarray, points: np.ndarray) -> SceneState:
         """Return the state of some of the views and points, by index or mask."""
