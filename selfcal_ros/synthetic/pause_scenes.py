@@ -37,8 +37,8 @@ def pauses(rng: np.random.Generator, noise_px: float = 0.2) -> PointSequence:
     Parameters
     ----------
     rng : numpy.random.Generator
-        Draws the path: 26 to 44 views, a fifth to a half of them in the pause, and turns of 50 to
-        180 degrees on the spot in half of the drives. Draws camera, points and tracks, too.
+        Draws the path of 26 to 44 views, of which a fifth to a half are in the pause. Half of the
+        drives turn by 50 to 180 degrees there. Draws camera, points and tracks, too.
     noise_px : float
 
     Returns

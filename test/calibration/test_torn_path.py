@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros import CameraFacts
+from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
@@ -72,6 +73,30 @@ def test_a_path_that_falls_in_two_is_told_and_mended(scene):
     whole = mended(fit, problem.observations, problem)
     assert unevenness(whole.state.path, sequence) < 1.02
     assert passing_shares(problem.observations, whole.observations, VIEWS)[TORN_AT] > 0.8
+
+
+def test_a_part_that_is_inside_out_is_mended(scene):
+    """Scales of parts are not sure to have one sign: points of one part are behind its views."""
+    sequence, problem, start = scene
+    seen = problem.observations
+    first, last = (np.array([one(seen.view[seen.point == k]) for k in range(len(seen.track))])
+                   for one in (min, max))
+    apart = ~((first < TORN_AT) & (last > TORN_AT))
+    tried, _ = seen.select(apart[seen.point])
+    state = with_all_points(start, tried)
+    centres, points = state.path.centres(), state.points[:, :3] / state.points[:, 3:]
+    at, late = centres[TORN_AT].copy(), first[apart] >= TORN_AT
+    centres[TORN_AT:] = at - SMALLER * (centres[TORN_AT:] - at)
+    points[late] = at - SMALLER * (points[late] - at)
+    turned = np.column_stack([points, np.ones(len(points))])
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    fit = first_fit(problem, tried, replace(state, path=state.path.placed_at(centres),
+                                            points=turned))
+    assert fit.bundle.sigma_px < 0.15 and share_behind(fit) > 0.2
+    # no track is left to tell
+    assert not is_torn(tried, fit.observations, VIEWS)
+    whole = mended(fit, tried, problem)
+    assert share_behind(whole) == 0 and whole.bundle.sigma_px < 0.15
 
 
 def test_a_path_that_holds_together_is_left_alone(scene):

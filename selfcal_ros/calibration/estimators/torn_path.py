@@ -16,15 +16,17 @@ A path in parts of different scale (scale drift): how it is found, and how it is
 
 A start under a wrong focal length drifts in scale along the path. A robust adjustment may mend
 the parts and not the drift between them: then nearly all tracks that pass a view are rejected as
-outliers.
+outliers. Where scale drifts through zero, a part is inside out: its points lie behind its views.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit, with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
+from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND
 from selfcal_ros.calibration.estimators.zoom_selection import nearer
 from selfcal_ros.calibration.initialisation.multi_start import starts
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
@@ -90,10 +92,12 @@ def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem)
     Returns
     -------
     RobustFit
-        Begun anew with the calibration that was found, if `fit` is torn and that explains more.
+        Begun anew with the calibration that was found, if `fit` is torn or has points behind its
+        views, and that explains more.
 
     """
-    if not is_torn(tried, fit.observations, problem.views):
+    inside_out = problem.pivot is None and share_behind(fit) > MAX_BEHIND
+    if not inside_out and not is_torn(tried, fit.observations, problem.views):
         return fit
     for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
         state = with_all_points(start, tried)
