@@ -45,6 +45,7 @@ GROUPS = {
         'rough_shares': 'sigmas true beside rolling shutter, zoom, levers, wrong facts? hours',
         'further_worlds': 'bad days beside the shared ones: turned, torn, rounded, two at once',
         'mixed_worlds': 'worlds drawn at random from all troubles at once: right, or refused',
+        'everyday': 'drones, arms, cars, walkers and more, with troubles: right, or refused',
         'loops': 'drives that go round or pause on the way: right, or refused',
         'short_clips': 'clips that turn by 2 to 15 degrees: calibration, hint or refusal',
         'rendered_drive': 'rendered drive, images to K, beside COLMAP',
