@@ -27,6 +27,7 @@ from selfcal_ros.calibration.initialisation.problem import WINDOW_VIEWS
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.synthetic.lap_scenes import laps
 from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 
@@ -41,6 +42,18 @@ def test_a_drive_that_comes_back_to_its_points_is_calibrated(seed):
     sigma = np.array([found.sigma[name] for name in ('fx', 'cx', 'cy')])
     assert (np.abs(error) < 3 * sigma).all()
     assert sigma[0] < 5e-3 * scene.camera.parameters[0]
+
+
+def test_a_lens_may_zoom_on_a_drive_that_comes_back():
+    """An exception: a search that began on twelve views took the instants of all for theirs."""
+    rng = np.random.default_rng(37)
+    scene = laps(rng)
+    growth = 1 + 0.02 * np.linspace(-1, 1, len(scene.cam_from_world))
+    found = calibrate(zoomed(scene, growth, rng).tracks, facts=FACTS)
+
+    focal_px = np.array([found.focal_of(frame).value for frame in found.frames])
+    truth_px = scene.camera.parameters[0] * growth[list(found.frames)]
+    assert np.abs(focal_px / truth_px - 1).max() < 0.01
 
 
 @pytest.fixture(scope='module')

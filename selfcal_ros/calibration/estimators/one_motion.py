@@ -123,6 +123,10 @@ class OneMotion:
         near = self.near
         return None if near is None or len(near.state.path) != self.window.views else near
 
+    def _may_zoom(self, problem: SelfCalibrationProblem) -> bool:
+        """Tell whether the focal length may vary; not in a search that begins on few views."""
+        return may_zoom(problem) and self.window_views == WINDOW_VIEWS
+
     def with_any_focal(self) -> Calibration | NoEstimate:
         """Calibrate with a focal length that is constant if that is possible, else with any."""
         if self.problem.facts.focal == 'varying' and self.problem.instants:
@@ -131,7 +135,7 @@ class OneMotion:
         if not result and result.kind in UNEXPLAINED and self.window.turns_round():
             few = replace(self, window_views=ROUND_WINDOWS[0]).result()
             result = few or result
-        if may_zoom(self.problem) and not result and result.kind in UNEXPLAINED:
+        if self._may_zoom(self.problem) and not result and result.kind in UNEXPLAINED:
             zoomed = self._zooming().result()
             result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
         return result
@@ -239,7 +243,7 @@ class OneMotion:
             return mixed
         if contradicted(fit, window):
             return (parted_or_zooming(self.problem, self.graph, self.proposals, first, fit)
-                    if may_zoom(self.problem) else NoEstimate(NOT_CONSTANT))
+                    if self._may_zoom(self.problem) else NoEstimate(NOT_CONSTANT))
         if fit.motion.zoom is not None:
             fit = settle_zoom(fit, window.facts, window.size)
         held = self._held_parallel(fit)
@@ -256,7 +260,7 @@ class OneMotion:
     def _held_parallel(self, fit: RobustFit,
                        ) -> tuple[RobustFit, tuple[Finding, ...]] | NoEstimate:
         """Hold views parallel that are said to be, unless they measurably are not."""
-        parallel = self.problem.window().motion.parallel
+        parallel = self.problem.window(self.window_views).motion.parallel
         if len(parallel) < 2:
             return fit, ()
         fit, turned_rad = hold_parallel(fit, parallel, self.window.size)
@@ -275,7 +279,7 @@ class OneMotion:
         whole = fit_all(problem, model)
         result = (whole if isinstance(whole, NoEstimate)
                   else assess(whole, model, problem, graph, stated.facts))
-        if not result and result.kind == NOT_CONSTANT and may_zoom(problem):
+        if not result and result.kind == NOT_CONSTANT and self._may_zoom(problem):
             # a lens that was chosen is no fact
             return parted_or_zooming(replace(problem, facts=stated.facts), graph,
                                      self.proposals, first, model.fit)
