@@ -113,6 +113,19 @@ def test_a_stricter_bound_keeps_fewer_points(driven):
     assert not len(metric_structure(result, sequence.tracks, 0.0).points)
 
 
+@pytest.mark.filterwarnings('error')
+def test_points_at_infinity_are_left_out_in_silence(driven):
+    """Those that only a standing camera sees; NumPy warned of what is infinite times zero."""
+    sequence, result, structure = driven
+    shape = result.reconstruction
+    points = shape.points.copy()
+    far = np.isin(shape.tracks, structure.tracks[:20])
+    points[far, 3] = 0
+    rest = metric_structure(replace(result, reconstruction=replace(shape, points=points)),
+                            sequence.tracks)
+    assert set(rest.tracks) == set(structure.tracks[20:])
+
+
 def test_projective_structure_is_upgraded_step_by_step():
     rng = np.random.default_rng(3)
     K = np.array([[500, 2, 320], [0, 510, 240], [0, 0, 1.0]])

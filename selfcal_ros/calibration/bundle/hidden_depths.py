@@ -31,10 +31,11 @@ from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: A depth is hidden where the path moves a point of usual depth by less than so many times the
-#: noise. Where more than this share of the points is so, the camera hardly moves at all.
+#: noise. Where more than this share of the points is so, the camera hardly moves: none is hidden.
 STEP_SIGMAS, MOST = 0.5, 0.6
 #: What seems nearer than this share of the usual depth is hidden where the path moves a point of
 #: usual depth by less than so many times the noise. A point that is so near becomes an outlier.
+#: What is hidden already stays so up to there.
 NEAR, STEP_SIGMAS_OF_NEAR = 0.2, 2.0
 #: The usual depth of a view is at least this share of that of all: in views that only turn, noise
 #: may have put most points beside the camera.

@@ -103,8 +103,9 @@ def metric_structure(calibration: Calibration, tracks: Tracks,
         raise ArgumentError('This calibration has no structure; calibrate from a camera that '
                             'moves.')
     points = np.asarray(shape.points, float)
+    weight = np.where(points[:, 3:] == 0, np.nan, points[:, 3:])      # at infinity
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        points = points[:, :3] / points[:, 3:]
+        points = points[:, :3] / weight
     poses, world, scale = _upright(calibration)
     points = scale * (points @ world[:, :3].T + world[:, 3])
     covariance, nearest = _point_covariances(calibration, tracks, poses, points)
