@@ -35,7 +35,6 @@ from selfcal_ros.synthetic.pause_scenes import pauses
 from selfcal_ros.synthetic.scenes import PointSequence
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
-NOISE_PX = 0.3
 #: Beyond so many stated sigmas a result is wrong.
 MAX_SIGMAS = 4.0
 #: From view to view.
@@ -45,9 +44,9 @@ SHARP_DEG = 20.0
 def run(report: Report, options) -> None:
     """Print a table of loops, and one of pauses."""
     runs = options.runs or 100
-    for scene, title in ((laps, 'drives of 24 to 69 views that turn by 300 to 900 degrees'),
-                         (pauses, 'drives that stand or turn on the spot for a while')):
-        report.section(f'{runs} {title}', f'{NOISE_PX} px; nothing stated but square pixels.')
+    for scene, title in ((laps, 'drives of 24 to 69 views that turn by 300 to 900°, 0.3 px'),
+                         (pauses, 'drives that stand or turn on the spot for a while, 0.2 px')):
+        report.section(f'{runs} {title}', 'Nothing stated but square pixels.')
         _print_drives(report, run_seeds(partial(one_run, scene), range(runs), options.processes))
 
 
@@ -78,7 +77,7 @@ def _print_drives(report: Report, found: list[dict]) -> None:
 
 def one_run(drive: Callable[..., PointSequence], seed: int) -> dict:
     """Calibrate from one drive."""
-    scene = drive(np.random.default_rng(seed), NOISE_PX)
+    scene = drive(np.random.default_rng(seed))
     turned = scene.cam_from_world[1:, :, :3] @ np.swapaxes(scene.cam_from_world[:-1, :, :3], 1, 2)
     step = np.degrees(np.linalg.norm(rotation_vector(turned), axis=1))
     began = time.process_time()

@@ -59,11 +59,12 @@ def hidden_depths(state: SceneState, blocks: PointBlocks, sigma_px: float) -> np
     ndarray of bool, shape (P,)
 
     """
-    box, reach = _seen_from(state, blocks)
-    there = state.points[:, 3] == 0
-    near = np.minimum.reduceat(_distances(state, blocks), blocks.first) < NEAR * reach
+    low, high = _boxes(state, blocks)
+    distance = _distances(state, blocks)
+    usual, there = _usual(distance, blocks), state.points[:, 3] == 0
+    near = np.minimum.reduceat(distance, blocks.first) < NEAR * usual
     limit_px = sigma_px * np.where(near | there, STEP_SIGMAS_OF_NEAR, STEP_SIGMAS)
-    hidden: np.ndarray = state.lens['f'] * lengths(box[1] - box[0]) < limit_px * reach
+    hidden: np.ndarray = state.lens['f'] * lengths(high - low) < limit_px * usual
     return hidden if hidden.mean() <= MOST else np.zeros_like(hidden)
 
 
@@ -86,25 +87,30 @@ def with_hidden_depths(state: SceneState, blocks: PointBlocks, hidden: np.ndarra
     SceneState
 
     """
-    box, reach = _seen_from(state, blocks)
+    low, _ = _boxes(state, blocks)
+    usual = _usual(_distances(state, blocks), blocks)
     mean = blocks.sum_over_points(directions)
     mean /= np.maximum(lengths(mean), 1e-12)[:, None]
     points = state.points.copy()
     shown = ~hidden & (points[:, 3] == 0)
-    again = np.column_stack([box[0] + reach[:, None] * mean, np.ones(len(mean))])
+    again = np.column_stack([low + usual[:, None] * mean, np.ones(len(mean))])
     points[shown] = (again / lengths(again)[:, None])[shown]
     points[hidden] = np.column_stack([mean, np.zeros(len(mean))])[hidden]
     return replace(state, points=points)
 
 
-def _seen_from(state: SceneState, blocks: PointBlocks) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (2, P, 3) of the boxes that hold the views of each point, and usual depths (P,)."""
-    distance = _distances(state, blocks)
-    usual = np.maximum(_median_of_views(blocks, distance), LEAST_OF_ALL * np.median(distance))
+def _boxes(state: SceneState, blocks: PointBlocks) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (P, 3) of the boxes that hold the views of each point."""
     centres = state.path.centres()[blocks.view]
-    box = np.stack([np.minimum.reduceat(centres, blocks.first),
-                    np.maximum.reduceat(centres, blocks.first)])
-    return box, np.minimum.reduceat(usual[blocks.view], blocks.first)
+    return (np.minimum.reduceat(centres, blocks.first),
+            np.maximum.reduceat(centres, blocks.first))
+
+
+def _usual(distance: np.ndarray, blocks: PointBlocks) -> np.ndarray:
+    """Usual depths (P,) where each point is seen, by the distances (N,) of all."""
+    usual = np.maximum(_median_of_views(blocks, distance), LEAST_OF_ALL * np.median(distance))
+    least: np.ndarray = np.minimum.reduceat(usual[blocks.view], blocks.first)
+    return least
 
 
 def _distances(state: SceneState, blocks: PointBlocks) -> np.ndarray:
