@@ -29,6 +29,9 @@ from selfcal_ros.features.mask import ImageMask
 _FULL_SIZE_PIXELS = 1_200_000
 #: And smaller still where this would be more: the pyramid of SIFT takes some 200 bytes a pixel.
 _LARGEST_SEARCH_PIXELS = 2_500_000
+#: Features of an image at most, and of all images; of more than 333 images each has fewer, for a
+#: fifth of what is found is more than a camera needs (`surplus.ENOUGH_POSITIONS`).
+MOST_FEATURES, MOST_OF_ALL, LEAST_FEATURES = 3000, 1_000_000, 600
 #: Rows of a product at a time: what stays in the cache of a processor costs half.
 _BLOCK = 256
 #: Settings of SIFT: weak blobs, too, for most photographs have too few strong ones.
@@ -120,7 +123,12 @@ def _sift_offset_px() -> float:
     return float(np.round(4 * (np.median(near) - at)) / 4)
 
 
-def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
+def most_features(images: int) -> int:
+    """Tell how many features each of so many images is searched for at most."""
+    return max(LEAST_FEATURES, min(MOST_FEATURES, MOST_OF_ALL // images))
+
+
+def detect(grey: np.ndarray, most: int = MOST_FEATURES, cells: int = 12,
            mask: ImageMask | None = None) -> Features:
     """
     Find SIFT keypoints, evenly spread.

@@ -25,7 +25,7 @@ import os
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.features.detection import detect, Features
+from selfcal_ros.features.detection import detect, Features, most_features
 from selfcal_ros.features.epipolar import sampler_seed
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
@@ -226,7 +226,7 @@ def _wide(album: _Album, report: Progress, max_keyframes: int, seed: int, findin
     if stride > 1 or len(indices) < len(stamps):
         findings.append(Finding('frames_thinned', frames=len(indices)))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        for found in pool.map(partial(detect, mask=mask), images):
+        for found in pool.map(partial(detect, most=most_features(len(images)), mask=mask), images):
             features.append(found)
             report('features', len(features))
     size = images[0].shape[::-1]

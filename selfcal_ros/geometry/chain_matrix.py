@@ -81,6 +81,10 @@ class ChainMatrix:
         other.corner = self.corner.copy()
         return other
 
+    def to_be_reduced(self) -> ChainMatrix:
+        """Return a copy for the elimination to change."""
+        return self.copy()
+
     def rows_of(self, places: np.ndarray) -> np.ndarray:
         """Which rows belong to the views that stand there in the chain's order, (m v,)."""
         views, v = self.chain.order[places], self.of_view

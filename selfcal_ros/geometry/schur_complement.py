@@ -31,6 +31,7 @@ from scipy.sparse import csr_array, csr_matrix
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.small_cholesky import inverse_cholesky
+from selfcal_ros.geometry.view_blocks import ViewBlocks
 from selfcal_ros.geometry.view_chain import chain_of_views
 
 #: Points are reduced in groups that share a few views, so that the cost grows with the length of
@@ -207,21 +208,17 @@ class PointBlocks:
                 J = np.take(full, rows, axis=0).reshape(-1, full.shape[2])
                 yield k, J.T @ J
 
-    def _summed(self, full: np.ndarray, g: int, v: int) -> np.ndarray:
-        """Sum the normal equations of all views, shape (n, n), with the points held."""
-        size = g + self.view_count * v
-        matrix = np.zeros((size, size))
+    def _summed(self, full: np.ndarray, g: int, v: int) -> ViewBlocks:
+        """Sum the normal equations of all views, with the points held."""
         if not v:
             J = full.reshape(-1, g)
-            matrix += J.T @ J
-            return matrix
+            return ViewBlocks(J.T @ J, np.zeros((0, g, 0)), np.zeros((0, 0, 0)))
+        count = self.view_count
+        blocks = ViewBlocks(np.zeros((g, g)), np.zeros((count, g, v)), np.zeros((count, v, v)))
         for k, gram in self._grams(full):
-            own = slice(g + k * v, g + (k + 1) * v)
-            matrix[:g, :g] += gram[:g, :g]
-            matrix[:g, own] = gram[:g, g:]
-            matrix[own, :g] = gram[g:, :g]
-            matrix[own, own] = gram[g:, g:]
-        return matrix
+            blocks.corner[:] += gram[:g, :g]
+            blocks.border[k], blocks.own[k] = gram[:g, g:], gram[g:, g:]
+        return blocks
 
     def unreduced(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
                   residual: np.ndarray) -> UnreducedSystem:
@@ -263,7 +260,7 @@ class PointBlocks:
 
         """
         g = full.shape[2] - v
-        matrix: np.ndarray | ChainMatrix
+        matrix: ViewBlocks | ChainMatrix
         if self.chain is not None and v:
             matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
             for k, gram in self._grams(full):
@@ -292,7 +289,7 @@ class UnreducedSystem(NamedTuple):
     blocks : PointBlocks
     groups : list of _Group
         Points that are eliminated together.
-    matrix : ndarray or ChainMatrix, shape (n, n)
+    matrix : ViewBlocks or ChainMatrix
         With the points held.
     residual : ndarray, shape (N, m)
     jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, p)
@@ -307,7 +304,7 @@ class UnreducedSystem(NamedTuple):
 
     blocks: PointBlocks
     groups: list[_Group]
-    matrix: np.ndarray | ChainMatrix
+    matrix: ViewBlocks | ChainMatrix
     residual: np.ndarray
     jac_rest: np.ndarray
     jac_point: np.ndarray
@@ -332,7 +329,7 @@ class UnreducedSystem(NamedTuple):
         """
         g, p = self.shared.shape[2], self.jac_point.shape[2]
         v = self.jac_rest.shape[2] - g
-        matrix, H = self.matrix.copy(), self.by_points.copy()
+        matrix, H = self.matrix.to_be_reduced(), self.by_points.copy()
         diagonal = matrix.diagonal().copy()
         scale = np.einsum('pii->pi', H)      # a view: what is added to it is added to H
         # a floor keeps points without parallax invertible

@@ -17,9 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.information import eliminated, inverse_information
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -223,3 +225,34 @@ def test_points_settle_without_moving_the_cameras():
     assert bundle.cost(found) < bundle.cost(state)
     np.testing.assert_array_equal(found.path.cam_from_world(), state.path.cam_from_world())
     np.testing.assert_array_equal(found.lens.values, state.lens.values)
+
+
+@pytest.mark.parametrize('size', [7, 1100])
+def test_a_matrix_is_inverted_in_place_beside_what_is_held(size):
+    # rows of such different size, and what is held may have any
+    rng = np.random.default_rng(4)
+    A = rng.standard_normal((size + 5, size)) * np.exp(rng.normal(0, 3, size))
+    held = rng.choice(size, 2, replace=False)
+    A[:, held[0]] *= 1e9
+    matrix = A.T @ A
+    free = np.setdiff1d(np.arange(size), held)
+    before, selection = matrix.copy(), csr_array(np.eye(size)[:, free])
+    found = inverse_information(matrix, selection, np.diag(matrix))
+    scale = np.sqrt(np.outer(*2 * [np.diag(matrix)[free]]))
+    wanted = np.linalg.inv(matrix[np.ix_(free, free)] / scale) / scale
+
+    np.testing.assert_array_equal(matrix, before)
+    assert not found[held].any() and not found[:, held].any()
+    root = np.sqrt(np.outer(*2 * [np.diag(wanted)]))
+    np.testing.assert_allclose(found[np.ix_(free, free)] / root, wanted / root, atol=1e-7)
+    right = rng.standard_normal((size, 3)) * np.sqrt(np.diag(matrix))[:, None]
+    size_of = np.abs(found) @ np.abs(right)
+    apart = eliminated(matrix, selection, right, np.diag(matrix)) - found @ right
+    assert np.abs(apart / np.maximum(size_of, 1e-300)).max() < 1e-7
+
+
+def test_a_direction_without_information_has_a_very_large_variance():
+    matrix = np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 5.0]])
+    found = inverse_information(matrix, csr_array(np.eye(3)))
+    assert found[2, 2] == pytest.approx(0.2) and found[0, 0] > 1e10
+    assert found[0, 0] + 2 * found[0, 1] + found[1, 1] == pytest.approx(0.5, rel=1e-2)

@@ -13,6 +13,7 @@
 # limitations under the License.
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.features.detection import most_features
 from selfcal_ros.features.surplus import without_surplus
 from selfcal_ros.synthetic.special_scenes import drive
 
@@ -62,3 +63,9 @@ def test_the_camera_of_a_third_of_the_positions_agrees_with_that_of_all():
     truth = scene.camera.K[0, 0]
     assert abs(part.camera.K[0, 0] - truth) < 3 * part.sigma['fx']
     assert part.sigma['fx'] < 3**0.5 * whole.sigma['fx']
+
+
+def test_each_of_many_images_is_searched_for_fewer_features():
+    assert [most_features(count) for count in (1, 24, 333)] == [3000, 3000, 3000]
+    assert most_features(1000) == 1000 and most_features(100_000) == 600
+    assert all(count * most_features(count) <= 1_000_000 for count in range(334, 1600))

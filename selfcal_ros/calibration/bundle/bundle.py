@@ -380,14 +380,19 @@ class Bundle(Generic[StateT]):
             absorbed = self.model.eliminated_freedom * self.blocks.point_count
             tracks = max(dimension * len(self.view) - absorbed, 1)
         influence = system.influence(inverse[self.unknowns.shared]) * pull
-        return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system,
-                           self.unknowns.lens)
+        inverse *= factor
+        # of thousands of views it is hundreds of megabytes, and the inverse is there
+        system = replace(system, matrix=np.empty((0, 0)))
+        return Information(inverse, influence, freedom / seen, freedom / tracks, system,
+                           self.unknowns.lens, factor)
 
     def covariance(self, state: StateT) -> np.ndarray | ChainInverse:
         """Covariance of what remains once a block is eliminated, for independent noise, (n, n)."""
         linearisation = self.linearise(state)
         system = self.normal_equations(state, linearisation=linearisation)
-        return self.inverse(system) * self.loss_factors(linearisation)[0]
+        covariance = self.inverse(system)
+        covariance *= self.loss_factors(linearisation)[0]
+        return covariance
 
     def ideal_covariance(self, state: StateT) -> np.ndarray | ChainInverse:
         """Covariance (n, n) if the residuals were Gaussian noise of the stated sigma."""

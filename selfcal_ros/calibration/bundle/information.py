@@ -15,10 +15,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg.lapack import dpocon, dpotrf, dpotri
+from scipy.linalg.lapack import dlange, dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 from scipy.special import chdtr, chdtrc
 
@@ -34,6 +35,8 @@ HUBER_SIGMAS = 2.0
 #: Directions with less information than this fraction of the largest count as undetermined:
 #: they come out very large, not infinite.
 RANK_TOLERANCE = 1e-13
+#: Rows of a triangle that are copied to the other at a time.
+_MIRRORED = 512
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,11 @@ class Information:
         The same once the points are accounted for: the influences of a whole track do not
         contain what its point has absorbed.
     system : ReducedSystem
-        The normal equations, by which the eliminated block follows.
+        The normal equations, by which the eliminated block follows; without their matrix.
     lens : slice
         Where the unknowns of the lens stand.
+    factor : float
+        The covariance over the inverse of the normal matrix.
 
     """
 
@@ -65,6 +70,7 @@ class Information:
     track_fraction: float
     system: ReducedSystem = field(repr=False)
     lens: slice
+    factor: float
 
     @property
     def lens_covariance(self) -> np.ndarray:
@@ -97,34 +103,96 @@ def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
         Zero rows for fixed parameters.
 
     """
-    E, places = selection, places_of(selection)
     if isinstance(matrix, ChainMatrix):
-        return _inverse_of_chain(matrix, E, diagonal)
-    H = restricted(matrix, E)
+        return _inverse_of_chain(matrix, selection, diagonal)
+    places = places_of(selection)
+    if places is None:
+        inverse = _restricted_inverse(matrix, selection, diagonal)
+        spread: np.ndarray = selection @ (selection @ inverse).T
+        return spread
+    held = np.ones(len(matrix), bool)
+    held[places] = False
+
+    def with_held_apart() -> np.ndarray:
+        apart = np.array(matrix)
+        apart[held], apart[:, held] = 0.0, 0.0
+        apart[held, held] = 1.0
+        return apart
+    inverse = _inverse(with_held_apart, None if diagonal is None else diagonal * ~held)
+    inverse[held, held] = 0.0
+    return inverse
+
+
+def eliminated(matrix: np.ndarray | ChainMatrix, selection: csr_array, right: np.ndarray,
+               diagonal: np.ndarray | None = None) -> np.ndarray:
+    """
+    Multiply columns (n, m) by the inverse of `inverse_information`, which is not written out.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+
+    """
+    if isinstance(matrix, ChainMatrix):
+        product: np.ndarray = _inverse_of_chain(matrix, selection, diagonal) @ right
+        return product
+    solved = _restricted_inverse(matrix, selection, diagonal) @ (selection.T @ right)
+    spread: np.ndarray = selection @ solved
+    return spread
+
+
+def _restricted_inverse(matrix: np.ndarray, selection: csr_array, diagonal: np.ndarray | None,
+                        ) -> np.ndarray:
+    """Invert the matrix of the independent unknowns of a selection (n, k), shape (k, k)."""
+    scale = None if diagonal is None else abs(selection).T @ diagonal
+    return _inverse(lambda: restricted(matrix, selection), scale)
+
+
+def _inverse(fresh: Callable[[], np.ndarray], diagonal: np.ndarray | None) -> np.ndarray:
+    """
+    Invert a symmetric matrix in its own place: of thousands of views it is hundreds of megabytes.
+
+    Parameters
+    ----------
+    fresh : callable
+        Returns the matrix (k, k), each time another that may be written over.
+    diagonal : ndarray, shape (k,), optional
+        See `inverse_information`.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+
+    """
+    H = fresh()
     # what nothing measures has a very large variance, of which products are still numbers
     scale = np.maximum(np.diag(H), max(1e-300, 1e-100 * float(np.diag(H).max(initial=0))))
     if diagonal is not None:
-        scale = np.maximum(scale, RANK_TOLERANCE * (
-            abs(E).T @ diagonal if places is None else diagonal[places]))
+        scale = np.maximum(scale, RANK_TOLERANCE * diagonal)
     root = np.sqrt(scale)
-    H /= np.outer(root, root)
-    factor, failed = dpotrf(H)
+    H /= root[:, None]
+    H /= root
+    # of a symmetric matrix rows are columns, which saves a copy
+    norm = dlange('1', H.T)
+    factor, failed = dpotrf(H.T, overwrite_a=1)
     # the reciprocal condition in the 1-norm bounds that of the eigenvalues from below
-    if not failed and dpocon(factor, np.linalg.norm(H, 1))[0] > 10 * RANK_TOLERANCE:
-        # thousands of views: one matrix less is some hundred megabytes
-        inverse = np.triu(dpotri(factor, overwrite_c=1)[0])
-        del H, factor
-        np.copyto(inverse, inverse.T, where=np.tri(len(inverse), k=-1, dtype=bool))
+    inverse: np.ndarray
+    if not failed and dpocon(factor, norm)[0] > 10 * RANK_TOLERANCE:
+        inverse = dpotri(factor, overwrite_c=1)[0].T
+        for begin in range(0, len(inverse), _MIRRORED):
+            own = slice(begin, begin + _MIRRORED)
+            inverse[:begin, own] = inverse[own, :begin].T
+            part = inverse[own, own]
+            part += np.tril(part, -1).T
     else:
+        H = fresh()
+        H /= root[:, None]
+        H /= root
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
-    inverse /= np.outer(root, root)
-    if places is None:
-        spread: np.ndarray = E @ (E @ inverse).T
-    else:
-        spread = np.zeros_like(matrix)
-        spread[np.ix_(places, places)] = inverse
-    return spread
+    inverse /= root[:, None]
+    inverse /= root
+    return inverse
 
 
 def _inverse_of_chain(matrix: ChainMatrix, selection: csr_array, diagonal: np.ndarray | None,

@@ -202,7 +202,7 @@ def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
     bundle = bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
     information = bundle.information(fit.state)
     place = bundle.unknowns.places((LINE_DELAY,))[0]
-    step = -bundle.inverse(information.system) @ information.system.gradient
+    step = -(information.covariance @ information.system.gradient) / information.factor
     clusters = cluster_robust_covariance(information, observations.point, observations.xy, size)
     sigma = float(np.sqrt(information.covariance[place, place])) * clusters.sigma_inflation
     return DelayTest(fit.state.line_delay + float(step[place]), sigma,

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.information import eliminated
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -163,7 +163,7 @@ def _information(bundle: Bundle[SceneState], state: SceneState, with_facts: bool
     if isinstance(system.matrix, ChainMatrix):
         lens, rest = bundle.unknowns.free_lens, csr_array(E[:, inner:])
         coupling = system.columns(lens)
-        follows = inverse_information(system.matrix, rest, system.diagonal) @ coupling
+        follows = eliminated(system.matrix, rest, coupling, system.diagonal)
         found: np.ndarray = coupling[lens] - coupling.T @ follows
         return found
     matrix = restricted(system.matrix, E)

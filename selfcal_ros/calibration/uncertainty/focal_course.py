@@ -126,15 +126,17 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     E = unknowns.selection
     every = unknowns.of_views(VIEW_NAME)[:, 0]
     of_zoom = np.isin(unknowns.members, every[:-1])
+    coupling, gradient = system.columns(every), system.gradient
     factor = DampedFactor(system.matrix, system.diagonal, 0.0, csr_array(E[:, ~of_zoom]))
+    # of a thousand views it is hundreds of megabytes
+    del system
     if not factor.usable:
         return None
     # the last view's follows from the others
     tied = E[:, of_zoom][every].toarray()
-    coupling = system.columns(every)
     solved = factor.solve(coupling)
     own = tied.T @ (coupling[every] - coupling.T @ solved) @ tied / variance_inflation
-    pull = tied.T @ (system.gradient[every] - solved.T @ system.gradient) / variance_inflation
+    pull = tied.T @ (gradient[every] - solved.T @ gradient) / variance_inflation
     # from log f of all views but the last to the steps between them, whose mean is zero
     level = np.tri(views, views - 1, -1)
     level -= level.mean(axis=0)

@@ -30,7 +30,6 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.result import Identifiability
-from selfcal_ros.geometry.chain_inverse import ChainInverse
 
 #: Facts that may be stated, and the unknowns of the lens that each is about.
 FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
@@ -81,8 +80,8 @@ def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple[str, ...]) 
         float(np.sqrt(max(values[-1], 0))))
 
 
-def _without_facts(fit: RobustFit) -> dict[str, np.ndarray | ChainInverse]:
-    """Covariances (n, n) of the optimum if each stated fact were not stated."""
+def _without_facts(fit: RobustFit) -> dict[str, np.ndarray]:
+    """Covariances (k, k) of the lens if each stated fact were not stated."""
     priors, state = fit.bundle.priors, fit.state
     stated = {fact: about for fact, about in FACTS.items() if set(about) <= set(priors)}
     if not stated:
@@ -98,5 +97,7 @@ def _without_facts(fit: RobustFit) -> dict[str, np.ndarray | ChainInverse]:
         known = freed.prior_terms(state)[2] - none.prior_terms(state)[2]
         system_with = replace(system, matrix=system.matrix.copy())
         system_with.add_diagonal(np.arange(len(known)), known)
-        result[fact] = freed.inverse(system_with) * freed.loss_factors(linearisation)[0]
+        lens = freed.unknowns.lens
+        result[fact] = (freed.inverse(system_with)[lens, lens]
+                        * freed.loss_factors(linearisation)[0])
     return result

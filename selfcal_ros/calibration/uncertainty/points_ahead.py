@@ -128,7 +128,7 @@ def points_ahead(fit: RobustFit, state: SceneState, covariance: np.ndarray,
 
 def _depths(fit: RobustFit, free: np.ndarray) -> _Depths:
     """Return inverse depths over what the images leave of them with the lens held."""
-    system, bundle = fit.information.system, fit.bundle
+    system = fit.information.system
     along = fit.state.tangents[:, 3]
     half = np.einsum('pij,pj->pi', system.inverse_root, along)
     half /= np.maximum(np.linalg.norm(half, axis=1), 1e-300)[:, None]
@@ -137,8 +137,9 @@ def _depths(fit: RobustFit, free: np.ndarray) -> _Depths:
     side = np.where(value * fit.state.points[:, 3] < 0, -1.0, 1.0)
     followed *= side[:, None]
     # of the path, what the lens does not settle widens every depth
-    inverse = bundle.inverse(system)
-    assert not isinstance(inverse, ChainInverse)
+    covariance = fit.information.covariance
+    assert not isinstance(covariance, ChainInverse)
+    inverse = covariance / fit.information.factor
     with_lens = followed @ inverse[:, free]
     of_lens = np.linalg.inv(inverse[np.ix_(free, free)])
     by_lens = with_lens @ of_lens

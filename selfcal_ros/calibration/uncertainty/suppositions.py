@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import block_diag, csr_array, identity
 
-from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.information import eliminated
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.joint_equations import joint_equations
 from selfcal_ros.geometry.distributions import chi2_sf, normal_isf
@@ -301,9 +301,8 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
     rest = np.r_[joint.place, aside]
     selection = csr_array(block_diag([unknowns.selection, identity(len(aside))]))
     selection = embedded_selection(selection, rest, len(system.matrix))
-    inverse = inverse_information(system.matrix, selection, system.diagonal)
     coupling = system.columns(further)
-    follows = -(inverse @ coupling)
+    follows = -eliminated(system.matrix, selection, coupling, system.diagonal)
     information = coupling[further] + coupling.T @ follows
     factor, pull = fit.bundle.loss_factors(fit.linearisation)
     return JointInformation(
