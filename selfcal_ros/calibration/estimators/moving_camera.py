@@ -208,8 +208,8 @@ class MovingCamera:
             return None
         result = self.unless_like_turns(finish(
             settled(problem, decision.model), decision.model, graph, self.facts), rotations)
-        # a focal length that varies is for the free motions
-        if not result and result.kind in (NOT_CONSTANT, *UNEXPLAINED):
+        # a focal length that varies is for the free motions, and so is what has moved on
+        if not result and result.kind in (NOT_CONSTANT, 'points_behind', *UNEXPLAINED):
             return None
         return Turn(result, noise_px)
 
