@@ -13,7 +13,7 @@
 # limitations under the License.
 """Independent worlds that were wrong in silence, or refused without need, are right and told."""
 
-from bench.calibration import mixed_worlds
+from bench.calibration import everyday, mixed_worlds
 from bench.calibration.suppositions import load_worlds, MAX_SIGMAS, WORLDS
 import numpy as np
 import pytest
@@ -121,6 +121,25 @@ def test_of_all_troubles_at_once_it_is_right():
     outcome = mixed_worlds.one_run(173)
 
     assert not outcome.refused and outcome.away < MAX_SIGMAS and outcome.sigma < 0.04
+
+
+@pytest.mark.parametrize('robot, seed', [('drone round a place', 6), ('round an object', 108)])
+def test_each_of_few_views_is_read_in_turn_by_its_own_motion(robot, seed):
+    """Views far apart do not tell how they moved while read: 5 and 6 sigma off, in silence."""
+    world, _ = everyday.build(robot, seed)
+    result = world.calibrated(everyday.SQUARE)
+
+    assert result and world.away(result) < MAX_SIGMAS
+    assert 'rows_by_view' in [one.kind for one in result.findings]
+    assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
+
+
+def test_a_vehicle_that_stops_often_is_no_head():
+    """A turn about a point put points behind the camera, and was refused for that at once."""
+    world, _ = everyday.build('stops often', 106)
+    result = world.calibrated(everyday.SQUARE)
+
+    assert result and world.away(result) < MAX_SIGMAS
 
 
 def test_a_view_that_a_wrong_homography_leads_astray_is_found_again():

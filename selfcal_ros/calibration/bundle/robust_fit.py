@@ -132,6 +132,12 @@ class Observations:
         known = None if self.clock is None else self.clock.known
         return replace(self, shutter=RowShifts.none(len(self.view), known))
 
+    def read_like(self, shutter: RowShifts | None) -> Observations:
+        """Return the same, with the unknowns of a rolling shutter as others have them."""
+        if shutter is None or self.clock is None:
+            return replace(self, shutter=None)
+        return replace(self, shutter=shutter.of_others(len(self.view), len(self.clock.times)))
+
     def surely_timed(self) -> Observations:
         """
         Keep the observations of which it is known how the camera moved until they were read.
@@ -144,7 +150,7 @@ class Observations:
     def surely_timed_rows(self) -> np.ndarray:
         """Mark those observations, shape (N,)."""
         keep = np.ones(len(self.view), bool)
-        if self.clock is None:
+        if self.clock is None or self.shutter is not None and self.shutter.own is not None:
             return keep
         for end in (0, len(self.clock.times) - 1):
             rows = np.flatnonzero(self.view == end)
@@ -159,15 +165,16 @@ class Observations:
         """Renew the displacements by the rows' delay, where it is estimated."""
         if self.shutter is None or self.clock is None:
             return self
-        blocks = PointBlocks(self.point, self.view)
-        return replace(self, shutter=row_shifts(
-            state, blocks, self.xy, self.clock, self.neighbours))
+        blocks, own = PointBlocks(self.point, self.view), self.shutter.own
+        renewed = (row_shifts(state, blocks, self.xy, self.clock, self.neighbours) if own is None
+                   else row_shifts(state, blocks, self.xy, self.clock, None, own.near, own.sigma))
+        return replace(self, shutter=replace(renewed, known=self.shutter.known))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:
         """Tell whether displacements differ by less than so many pixels, root mean square."""
         if self.shutter is None or other.shutter is None:
             return True
-        apart = self.shutter.shift - other.shutter.at(state.line_delay)
+        apart = self.shutter.shift - other.shutter.at(state, other.view)
         return bool(np.sqrt(np.mean(apart**2)) < px)
 
     def longest(self, per_view: int) -> np.ndarray:

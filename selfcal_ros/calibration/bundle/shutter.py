@@ -31,7 +31,8 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.clock import Clock, difference_weights, STENCIL
 from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
-from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.own_rows import OwnRows
+from selfcal_ros.calibration.bundle.path import AxisPath, crossed
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
@@ -46,6 +47,9 @@ LINE_DELAY = 'line_delay'
 LARGEST_SHIFT = 0.25
 #: The same of displacements in an interval between frames.
 FASTEST = 2.0
+#: Views that are far apart in time tell no more than how fast the camera moves on the whole, by
+#: one before and one after.
+FAR_APART = 3
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ class RowShifts:
         Its derivative by the line delay.
     known : Prior, optional
         What is stated of the line delay.
+    own : OwnRows, optional
+        What each view's own motion does, where the views around it do not tell.
 
     """
 
@@ -70,11 +76,17 @@ class RowShifts:
     shift: np.ndarray
     slope: np.ndarray
     known: Prior | None = None
+    own: OwnRows | None = None
 
     @classmethod
     def none(cls, count: int, known: Prior | None = None) -> RowShifts:
         """Return no displacement of so many observations, until the path is known."""
         return cls(0.0, np.zeros((count, 2)), np.zeros((count, 2)), known)
+
+    def of_others(self, count: int, views: int) -> RowShifts:
+        """Return no displacement of so many other observations that are read alike."""
+        return replace(self.none(count, self.known), own=self.own and replace(
+            self.own, motion=np.zeros((views, 6)), slope=np.zeros((count, 2, 6))))
 
     @property
     def is_held(self) -> bool:
@@ -88,11 +100,14 @@ class RowShifts:
 
     def select(self, rows: np.ndarray) -> RowShifts:
         """Return those of some observations."""
-        return replace(self, shift=self.shift[rows], slope=self.slope[rows])
+        return replace(self, shift=self.shift[rows], slope=self.slope[rows],
+                       own=self.own and self.own.select(rows))
 
-    def at(self, line_delay: float) -> np.ndarray:
-        """Return the displacements (N, 2) for a line delay nearby."""
-        displaced: np.ndarray = self.shift + (line_delay - self.line_delay) * self.slope
+    def at(self, state: SceneState, view: np.ndarray) -> np.ndarray:
+        """Return the displacements (N, 2) of observations in views (N,) for a state nearby."""
+        displaced: np.ndarray = self.shift + (state.line_delay - self.line_delay) * self.slope
+        if self.own is not None:
+            displaced += self.own.beyond(state.row_motion, view)
         return displaced
 
 
@@ -100,7 +115,7 @@ def with_line_delay(unknowns: Unknowns, shifts: RowShifts) -> Unknowns:
     """Add the unknown of the block to those of lens and path."""
     unknowns = unknowns.extended(shared=(LINE_DELAY,))
     unknowns.free[unknowns.places((LINE_DELAY,))] = not shifts.is_held
-    return unknowns
+    return unknowns if shifts.own is None else shifts.own.extend(unknowns)
 
 
 def with_stated_delay(terms: PriorTerms, line_delay: float, shifts: RowShifts,
@@ -144,8 +159,16 @@ def local_motion(path: AxisPath, times: np.ndarray, most: int = STENCIL,
     return derivatives
 
 
+def usual_motion(path: AxisPath, times: np.ndarray) -> np.ndarray:
+    """Return the usual turn and move in an interval between frames, along each axis, (6,)."""
+    velocity = local_motion(path, times, 3)[0]
+    size = np.sqrt([np.mean(velocity[:, :3]**2), np.mean(velocity[:, 3:]**2)])
+    return np.repeat(size, 3)
+
+
 def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
-               neighbours: np.ndarray | None = None, most: int = STENCIL) -> RowShifts:
+               neighbours: np.ndarray | None = None, most: int = STENCIL,
+               own_sigma: float | None = None) -> RowShifts:
     """
     Displace every observation by the motion of the camera until its row is read.
 
@@ -161,6 +184,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         Of a video; see `motion_from_neighbours`.
     most : int
         Views that tell how the camera moves at one of them.
+    own_sigma : float, optional
+        Of `OwnRows`, where each view has a motion of its own, too.
 
     Returns
     -------
@@ -168,6 +193,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
 
     """
     motion = local_motion(state.path, clock.times, most)
+    if own_sigma is not None and most == FAR_APART:
+        motion[1:] = 0
     if neighbours is not None:
         motion = motion_from_neighbours(state, blocks, xy, neighbours, clock, motion)
     view, path = blocks.view, state.path
@@ -177,6 +204,11 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     velocity, acceleration, jerk = motion[:, view]
     rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
     moved = tau * (velocity + tau * (0.5 * acceleration + tau / 6 * jerk))
+    if own_sigma is not None:
+        usual = usual_motion(path, clock.times)
+        values = (np.zeros((len(clock.times), 6)) if state.row_motion is None
+                  else state.row_motion)
+        moved += delay[:, None] * (values * usual)[view]
     turn, there = moved[:, :3], placed - weight * moved[:, 3:]
     R = rotation_matrix(turn)
     there = np.einsum('nij,nj->ni', R, there)
@@ -184,13 +216,23 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     later = projection(state.lens, there @ path.mount.T, state.zoom, view)
     spin = np.einsum('nij,nj->ni', left_jacobian(turn), rate[:, :3])
     speed = np.cross(spin, there) - weight * np.einsum('nij,nj->ni', R, rate[:, 3:])
-    slope = delay[:, None] * np.einsum('nij,nj->ni', later.by_points() @ path.mount, speed)
+    by_there = later.by_points() @ path.mount
+    slope = delay[:, None] * np.einsum('nij,nj->ni', by_there, speed)
     shift = later.uv - still.uv
     with np.errstate(invalid='ignore'):
-        lost = ~((np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.lines)
-                 & (np.abs(slope).max(axis=1) < FASTEST * clock.lines))
-    shift[lost] = slope[lost] = 0
-    return RowShifts(state.line_delay, shift, slope, clock.known)
+        lost = ~(np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.lines)
+        too_fast = ~(np.abs(slope).max(axis=1) < FASTEST * clock.lines)
+    # where a view moves by itself, what its neighbours say wildly of it says nothing of the shift
+    lost |= too_fast & (own_sigma is None)
+    shift[lost], slope[lost | too_fast] = 0, 0
+    own = None
+    if own_sigma is not None:
+        by_turn = crossed(there, by_there) @ left_jacobian(turn)
+        by_move = -weight[:, :, None] * (by_there @ R)
+        of_own = delay[:, None, None] * usual * np.concatenate([by_turn, by_move], axis=2)
+        of_own[lost] = 0
+        own = OwnRows(own_sigma, values, of_own, most)
+    return RowShifts(state.line_delay, shift, slope, clock.known, own)
 
 
 def pace_doubt(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock) -> float:

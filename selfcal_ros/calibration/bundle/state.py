@@ -68,6 +68,8 @@ class SceneState(BundleState):
         Where the focal length varies.
     line_delay : float
         Intervals between frames in which the whole image is read, row after row.
+    row_motion : ndarray, shape (V, 6), optional
+        How each view moves meanwhile beyond that; see `OwnRows`.
 
     """
 
@@ -75,6 +77,7 @@ class SceneState(BundleState):
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     zoom: Zoom | None = None
     line_delay: float = 0.0
+    row_motion: np.ndarray | None = None
 
     @cached_property
     def tangents(self) -> np.ndarray:
@@ -91,7 +94,8 @@ class SceneState(BundleState):
     def of_views(self, kept: np.ndarray, points: np.ndarray) -> SceneState:
         """Return the state of some of the views and points, by index or mask."""
         return replace(self, path=self.path.of_views(kept), points=self.points[points],
-                       zoom=self.zoom and self.zoom.of_views(kept))
+                       zoom=self.zoom and self.zoom.of_views(kept),
+                       row_motion=None if self.row_motion is None else self.row_motion[kept])
 
     def scaled(self, factor: float) -> SceneState:
         """Return the state in a world that is larger by a factor."""

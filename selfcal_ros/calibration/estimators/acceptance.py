@@ -68,6 +68,9 @@ FIELD_FRACTION, FIELD_SIGMAS = 5e-4, 2.0
 #: The same where another lens model than the one that was stated explains the images better,
 #: which is told by its name, and where such a field is little beside sigma of the focal length.
 LENIENT_FRACTION, LENIENT_SIGMAS = 8e-4, 3.0
+#: The same where views move by themselves while they are read: on the average that is such a
+#: field, which the images do not tell from a lens. The covariance holds it.
+ROWS_FRACTION = 2.5e-3
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
 MINIMUM_FREEDOM = 40
@@ -144,8 +147,10 @@ def _is_explained(found: _Optimum) -> NoEstimate | None:
 
 def _lens_fits(found: _Optimum) -> NoEstimate | None:
     """Refuse deviations that are smooth over the image and larger than a lens's."""
+    shutter = found.fit.observations.shutter
     return deviates_too_far(found.field, found.problem.size, found.fit.bundle.sigma_px,
-                            found.problem.facts, found.stated, found.focal_share)
+                            found.problem.facts, found.stated, found.focal_share,
+                            shutter is not None and shutter.own is not None)
 
 
 def _can_be_checked(found: _Optimum) -> NoEstimate | None:
@@ -341,11 +346,13 @@ def most_agree(rejected: float, zooms: bool = False) -> NoEstimate | None:
 
 def deviates_too_far(field: DistortionMisfit | None, size: tuple[int, int], sigma_px: float,
                      facts: CameraFacts, verdict: FactsVerdict, focal_share: float,
-                     ) -> NoEstimate | None:
+                     moves_by_view: bool = False) -> NoEstimate | None:
     """Refuse a field that is larger than what a lens does beyond its model."""
     share, sigmas = ((LENIENT_FRACTION, LENIENT_SIGMAS)
                      if verdict.concerns(LENS_MODEL) or focal_share > HINT_SIGMA
                      else (FIELD_FRACTION, FIELD_SIGMAS))
+    if moves_by_view:
+        share = ROWS_FRACTION
     limit = max(share * max(size), sigmas * sigma_px)
     if field is None or facts.distortion == 'none' or field.rms_px <= limit:
         return None

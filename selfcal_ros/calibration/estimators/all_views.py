@@ -78,7 +78,7 @@ def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibr
         observations, clock = problem.observations, model.fit.observations.clock
         if clock is not None and observations.clock is not None:
             observations = replace(observations, clock=observations.clock.read_as(clock))
-        observations = observations.surely_timed().read_in_rows()
+        observations = observations.read_like(model.fit.observations.shutter).surely_timed()
         problem = replace(problem, observations=observations)
     return problem
 

@@ -43,6 +43,7 @@ from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_
                                                                of_two_cameras)
 from selfcal_ros.calibration.estimators.parted_tracks import (
     calibrate_coherent_tracks, calibrate_sorted, calibrate_still_tracks)
+from selfcal_ros.calibration.estimators.own_rows_choice import with_own_rows
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                ShutterDecision)
 from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
@@ -150,6 +151,7 @@ class OneMotion:
             return self._first
         first, left = self._first
         shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
+        shutter = with_own_rows(shutter, self.medium, self.window.size)
         if self.window.views == self.problem.views:
             # before what moves is taken for a zoom; rows read in turn move tracks, too
             still = calibrate_still_tracks(shutter.fit, self.medium, self.problem, self.graph,

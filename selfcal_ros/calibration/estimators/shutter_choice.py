@@ -32,7 +32,7 @@ from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        RobustFit, with_all_directions,
                                                        with_all_points)
-from selfcal_ros.calibration.bundle.shutter import LINE_DELAY, pace_doubt
+from selfcal_ros.calibration.bundle.shutter import FAR_APART, LINE_DELAY, pace_doubt
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.row_readout import RowReadout
@@ -56,6 +56,8 @@ MOST_FOLLOWED = 0.3
 #: A start under a rolling shutter may leave so many times the noise of pairs of images, and so
 #: much of the image's longer side.
 ROLLING_NOISE, ROLLING_FRACTION = 20.0, 0.01
+#: A line delay is told where the motion of single views is less than this share of what it does.
+BESIDE_DELAY = 0.3
 #: Sigma of the readout time, in intervals between frames, beyond which it is open.
 OPEN_INTERVALS = 0.25
 
@@ -309,6 +311,11 @@ def readout_of(fit: RobustFit, sigma_inflation: float) -> RowReadout | None:
     """
     shutter, clock = fit.observations.shutter, fit.observations.clock
     if shutter is None or clock is None:
+        return None
+    if shutter.own is not None and clock.known is None and (
+            shutter.own.near == FAR_APART
+            or shutter.own.sigma > BESIDE_DELAY * abs(fit.state.line_delay)):
+        # where views move so much by themselves, others hardly tell the line delay
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
     value = fit.state.line_delay

@@ -106,7 +106,8 @@ class FactsVerdict:
     contradicted : tuple of Contradiction
         Beyond chance.
     doubted : tuple of Contradiction
-        What may be an accident.
+        What may be an accident; and all, where rows that views move by while they are read may be
+        what the images contradict a fact by.
     unchecked : tuple of (str, str, float, ndarray)
         What the images let pass: a fact, an unknown that it is about, an error that would not
         show, and what that would do to the parameters of the camera (k,).
@@ -262,7 +263,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
             asked.add(one.name)
             freed, p_value, released = _released(fit, one, size)
             if p_value < CONTRADICTED:
-                found.append(released)
+                (doubted if _moves_by_view(fit) else found).append(released)
                 fit = freed
                 break
             if p_value < DOUBTED:
@@ -272,6 +273,12 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
                 unchecked += tuple(_unchecked(fit, one))
         else:
             return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
+
+
+def _moves_by_view(fit: RobustFit) -> bool:
+    """Tell whether views move by themselves while they are read, which bends each by its own."""
+    shutter = fit.observations.shutter
+    return shutter is not None and shutter.own is not None
 
 
 def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:

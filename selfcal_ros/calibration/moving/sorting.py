@@ -110,7 +110,7 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
 
     """
     found = fit.observations
-    if found.shutter is not None:
+    if found.shutter is not None and found.shutter.own is None:
         # at the ends of the path all but a few were left out, and none of them was rejected
         ends = given.frames[[0, -1]]
         given, agreeing = (some.select(~np.isin(some.frame, ends)) for some in (given, agreeing))
@@ -187,15 +187,16 @@ def observed_like(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> Observa
     observations = Observations.of(tracks, frames)
     if fit.observations.shutter is None:
         return observations
-    return _read_like(fit, observations).surely_timed().read_in_rows()
+    return _read_like(fit, observations).surely_timed()
 
 
 def _read_like(fit: RobustFit, observations: Observations) -> Observations:
-    """Add when views were taken, and where points were just before and after, as a fit has it."""
+    """Add when views were taken and how rows are read, and what was just before and after."""
     clock, beside = fit.observations.clock, observations.neighbours
     beside = (None if beside is None or clock is None or fit.observations.neighbours is None
               else beside * [1, 1, 1 / clock.unit])
-    return replace(observations, clock=clock, neighbours=beside)
+    timed = replace(observations, clock=clock, neighbours=beside)
+    return timed.read_like(fit.observations.shutter)
 
 
 def tested_as_still(fit: RobustFit, observations: Observations) -> TrackTest | None:
@@ -339,7 +340,7 @@ def _fitted(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> RobustFit | N
     """Fit other tracks from where a fit stands."""
     observations = observations_of(tracks, frames)
     if fit.observations.shutter is not None:
-        observations = _read_like(fit, observations).read_in_rows()
+        observations = _read_like(fit, observations)
     if len(np.unique(observations.view)) < len(frames):
         return None
     state = with_all_points(fit.state, observations)

@@ -136,7 +136,9 @@ def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observ
     if isinstance(model, SceneModel):
         model = replace(model, shutter=observations.displaced(placed).shutter)
     # an adjustment counts the views that it is given
-    state = replace(placed, path=placed.path.of_views(np.arange(observations.view.max() + 1)))
+    counted = np.arange(observations.view.max() + 1)
+    state = replace(placed, path=placed.path.of_views(counted),
+                    row_motion=None if placed.row_motion is None else placed.row_motion[counted])
     own = Bundle(model, observations.view, observations.point, observations.xy,
                  priors=bundle.priors, sigma_px=bundle.sigma_px)
     return own, own.refine_points(state)

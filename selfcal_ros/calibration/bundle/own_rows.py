@@ -1,0 +1,100 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Motion of each view while its rows are read, where no other view tells of it.
+
+Views that are far apart in time, as photographs and the few images of a drive are, do not tell how
+the camera moved while one of them was read. So each has six unknowns of its own: how far it turns
+and moves from the first row to the last, as shares of what is usual between two views. They are
+Gaussian, of one standard deviation, which the images tell. So is their mean over the views, for
+who looks at every tenth of a second at a walk of ten steps a second sees the same step each time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
+
+#: Unknowns of each view: turn and move while the whole image is read, before the mount.
+ROW_NAMES = ('row_turn_x', 'row_turn_y', 'row_turn_z', 'row_x', 'row_y', 'row_z')
+
+
+@dataclass(frozen=True)
+class OwnRows:
+    """
+    What each view's own motion does to its observations.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of the unknowns about their mean over the views, and of that mean.
+    motion : ndarray, shape (V, 6)
+        The values that displacements belong to.
+    slope : ndarray, shape (N, 2, 6)
+        Derivatives of the displacements by them, pixels.
+    near : int
+        Views that tell the line delay's motion at one of them, to which this is added.
+
+    """
+
+    sigma: float
+    motion: np.ndarray
+    slope: np.ndarray
+    near: int
+
+    def select(self, rows: np.ndarray) -> OwnRows:
+        """Return those of some observations."""
+        return replace(self, slope=self.slope[rows])
+
+    def beyond(self, motion: np.ndarray | None, view: np.ndarray) -> np.ndarray:
+        """Return what other values nearby displace observations (N, 2) of views (N,) by."""
+        apart = -self.motion if motion is None else motion - self.motion[:len(motion)]
+        displaced: np.ndarray = np.einsum('nik,nk->ni', self.slope, apart[view])
+        return displaced
+
+    def extend(self, unknowns: Unknowns) -> Unknowns:
+        """Add the unknowns of the block."""
+        return unknowns.extended(of_view=ROW_NAMES)
+
+    def add_prior(self, terms: PriorTerms, motion: np.ndarray | None,
+                  unknowns: Unknowns) -> PriorTerms:
+        """Add what is supposed of the unknowns to cost, gradient (n,) and diagonal (n,)."""
+        cost, gradient, diagonal = terms
+        places, matrix = unknowns.of_views(*ROW_NAMES), self.information(unknowns.views)
+        diagonal[places] += matrix[0, 0]
+        if motion is not None:
+            own = motion[:unknowns.views]
+            slope = matrix @ own
+            cost += 0.5 * float(np.sum(own * slope))
+            gradient[places] += slope
+        return cost, gradient, diagonal
+
+    def information(self, views: int) -> np.ndarray:
+        """Return what is supposed of one unknown of every view: inverse covariance (V, V)."""
+        return without_mean(views) / self.sigma**2
+
+    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+        """Return what that adds beside the diagonal: places (k,), and matrix (k, k)."""
+        matrix = self.information(unknowns.views)
+        beside = np.kron(matrix - np.diag(np.diag(matrix)), np.eye(len(ROW_NAMES)))
+        return unknowns.of_views(*ROW_NAMES).ravel(), beside
+
+
+def without_mean(views: int) -> np.ndarray:
+    """Return the inverse (V, V) of the covariance of values about a mean that is as uncertain."""
+    inverse: np.ndarray = np.eye(views) - 1 / (1 + views)
+    return inverse

@@ -1,0 +1,178 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Do views that are far apart in time move while their rows are read, each in its own way?
+
+What an optimum says by one linear step: derivatives by each view's own motion are appended to its
+normal equations, and everything else is eliminated. So is what all views share: a mean of the
+motion, which a lens may feign, and an aspect ratio or a skew that a fact may have wrong. The size
+of the motion is the one under which the images are most probable (type-II maximum likelihood;
+Bishop 2006, 3.5), first and after the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.clock import STENCIL
+from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES, without_mean
+from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
+                                                       with_all_points)
+from selfcal_ros.calibration.bundle.shutter import FAR_APART, row_shifts, RowShifts
+from selfcal_ros.calibration.estimators.shutter_choice import ShutterDecision
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
+from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
+from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
+from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.findings.finding import Finding
+
+#: Least gain of log probability: odds of 150 to 1.
+LEAST_GAIN = 5.0
+#: What the motion leaves is no more than this share of the noise before. Uneven ground and lenses
+#: seem to move views a little, too, and a motion that changes so little does no harm.
+CLEARLY_LESS = 0.97
+#: Shares of the motion between views that are tried. The interval is longer than the readout.
+SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
+#: Degree of the polynomials that all images may be displaced by, as a lens does.
+HIGHEST_DEGREE = 4
+#: Rounds in which the size settles, and the change of its log that ends them.
+ROUNDS, SETTLED = 2, 0.2
+
+
+def with_own_rows(decision: ShutterDecision, observations: Observations,
+                  size: tuple[int, int]) -> ShutterDecision:
+    """
+    Let each view move by itself while it is read, if the images ask for that.
+
+    Parameters
+    ----------
+    decision : ShutterDecision
+        With one line delay, or none.
+    observations : Observations
+        All that it was to explain, its outliers included.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    ShutterDecision
+        As it was where views do not move by themselves, or their neighbours tell how.
+
+    """
+    fit = decision.fit
+    if (fit.observations.clock is None or fit.observations.neighbours is not None
+            or fit.motion.zoom is not None):
+        return decision
+    sigma, gain = own_motion_evidence(fit, size)
+    if gain <= LEAST_GAIN:
+        return decision
+    found = None
+    for k in range(ROUNDS):
+        moving = _moving(fit, observations, sigma)
+        if moving is None or moving.bundle.sigma_px > fit.bundle.sigma_px * (
+                1 if k else CLEARLY_LESS):
+            break
+        found, fit, before = sigma, moving, sigma
+        sigma = _size_after(fit)
+        if abs(np.log(sigma / before)) < SETTLED:
+            break
+    return decision if found is None else ShutterDecision(
+        fit, (Finding('rows_by_view', share=found),))
+
+
+def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
+    """
+    Tell how far views move by themselves while they are read, and how sure that is.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum, without such motion.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    sigma : float
+        Of `OwnRows`.
+    gain : float
+        Log of the probability over that without such motion; 0 where a focal length that varies
+        is more probable.
+
+    """
+    bundle, observations, lens = fit.bundle, fit.observations, fit.state.lens
+    assert observations.clock is not None
+    shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, observations.clock, own_sigma=1.0)
+    assert shifts.own is not None
+    seen = bundle.xy + fit.linearisation.residual - lens.values[2:4]
+    free = dict(zip(lens.names, bundle.unknowns.free[bundle.unknowns.lens]))
+    none = np.zeros(len(seen))
+    shared = [Supposition(name, (name,), np.column_stack(columns)[:, :, None] / max(size))
+              for name, columns in (('aspect', (none, seen[:, 1])), ('skew', (seen[:, 1], none)))
+              if not free[name]]
+    # what a lens does beyond the simple model of the first fit differs from view to view, too
+    field = displacement_modes(bundle.xy + fit.linearisation.residual, size, HIGHEST_DEGREE)
+    shared.append(Supposition('field', ('field',) * field.shape[2], field))
+    variance_inflation = robust_covariance_of(fit, size).variance_inflation
+    joint = joint_information(fit, [*shared, Supposition(
+        'rows', ROW_NAMES, shifts.own.slope, of_views=True)], variance_inflation)
+    # what all views share: the further unknowns before these, and the mean of these
+    rows = joint.places['rows']
+    common = np.zeros((len(joint.score), rows.min() + len(ROW_NAMES)))
+    common[np.arange(rows.min()), np.arange(rows.min())] = 1
+    common[rows, rows.min() + np.arange(len(ROW_NAMES))] = 1
+    by_common, rows = joint.information @ common, rows.ravel()
+    follows = np.linalg.lstsq(common.T @ by_common, np.column_stack(
+        [by_common[rows].T, common.T @ joint.score]), rcond=1e-9)[0]
+    own = joint.information[np.ix_(rows, rows)] - by_common[rows] @ follows[:, :-1]
+    pull = joint.score[rows] - by_common[rows] @ follows[:, -1]
+    values, vectors = np.linalg.eigh((own + own.T) / 2)
+    sigma, gain = most_probable_size(np.maximum(values, 0), vectors.T @ pull, SIZES)
+    if gain > LEAST_GAIN:
+        times = tuple(observations.clock.times.tolist())
+        zoom = focal_evidence(fit, times, variance_inflation)
+        gain = 0.0 if zoom is not None and zoom.gain > gain else gain
+    return sigma, gain
+
+
+def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
+    """Fit with motion of each view of this size; what was an outlier without need not be one."""
+    clock, shutter, start = fit.observations.clock, fit.observations.shutter, fit.state
+    assert clock is not None
+    near = STENCIL
+    if shutter is None or sigma > abs(start.line_delay):
+        # the views are too far apart to tell more than how the camera moves on the whole
+        shutter, near = RowShifts.none(len(fit.bundle.xy), clock.known), FAR_APART
+    own = row_shifts(start, fit.bundle.blocks, fit.bundle.xy, clock, None, near, sigma).own
+    offered = replace(observations, clock=clock).read_like(replace(shutter, own=own))
+    state = with_all_points(start, offered)
+    if state is None:
+        return None
+    return fit_robustly(offered, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+
+
+def _size_after(fit: RobustFit) -> float:
+    """Return the most probable size of the motion that a fit has found (MacKay 1992)."""
+    shutter, motion = fit.observations.shutter, fit.state.row_motion
+    assert shutter is not None and shutter.own is not None and motion is not None
+    places = fit.bundle.unknowns.of_views(*ROW_NAMES).ravel()
+    apart = without_mean(len(motion))
+    every = np.kron(apart, np.eye(len(ROW_NAMES)))
+    left = float(np.sum(every * fit.covariance[np.ix_(places, places)])) / shutter.own.sigma**2
+    measured = max(len(places) - left, 1.0)
+    found = float(np.sqrt(np.sum(motion * (apart @ motion)) / measured))
+    return float(np.clip(found, SIZES[0], SIZES[-1]))
