@@ -201,11 +201,10 @@ REMARKS: dict[str, Phrase] = {
         'does not follow from views so far apart.',
         'Give more images a second, or the whole video; or move slowly.'),
     'rows_by_view': Phrase(
-        'Lines were read one after the other, and the views are too far apart in time to tell how '
-        'the camera moved meanwhile: each has a motion of its own, some {share:.1%} of that to the '
-        'next.',
-        'A rolling shutter explains the residuals. The sigmas allow for a motion of each view '
-        'while it was read, and no line delay is told.',
+        'Lines were read one after the other, and every view moved meanwhile in its own way, some '
+        '{share:.1%} of its motion to the next view.',
+        'A rolling shutter explains the residuals. Views so far apart in time do not tell how the '
+        'camera moved while one was read. The sigmas allow for any such motion.',
         'Give more images a second, or the whole video; or move slowly.'),
     'line_delay_open': Phrase(
         'The images do not determine how fast the {lines} are read: the whole image in '

@@ -118,7 +118,7 @@ def test_what_is_supposed_of_the_motion_is_one_quadratic(waved):
 
 @pytest.mark.parametrize('kind, seed', [(hand, 0), (hand, 2), (drive, 0)])
 def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
-    # before, the first was 16.6 px off in fx, the second was refused, and the drive 32 px off in cy
+    # before, they were 16.6 px off in fx, refused, and 32 px off in cy
     sequence = far_apart(kind, seed)
     result = calibrate(sequence.tracks, facts=SQUARE)
     blind = calibrate(sequence.tracks, facts=replace(SQUARE, shutter='global'))

@@ -14,11 +14,11 @@
 """
 Motion of each view while its rows are read, where no other view tells of it.
 
-Views that are far apart in time, as photographs and the few images of a drive are, do not tell how
-the camera moved while one of them was read. So each has six unknowns of its own: how far it turns
-and moves from the first row to the last, as shares of what is usual between two views. They are
-Gaussian, of one standard deviation, which the images tell. So is their mean over the views, for
-who looks at every tenth of a second at a walk of ten steps a second sees the same step each time.
+Photographs, and the few images of a drive, are far apart in time. Their poses do not tell how the
+camera moved while one of them was read. So each has six unknowns of its own: how far it turns and
+moves from the first row to the last, as shares of what is usual between two views. They are
+Gaussian, of one standard deviation, which the images tell. So is their mean over the views. It
+need not be zero: who looks once a step at a walk sees the same part of a step each time.
 """
 
 from __future__ import annotations
