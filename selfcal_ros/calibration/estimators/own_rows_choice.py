@@ -32,19 +32,22 @@ from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES, without_mean
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.shutter import FAR_APART, row_shifts, RowShifts
-from selfcal_ros.calibration.estimators.shutter_choice import ShutterDecision
-from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.estimators.shutter_choice import doubt_of_pace, ShutterDecision
+from selfcal_ros.calibration.estimators.zoom_selection import zoomed_fit
 from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 
-#: Least gain of log probability: odds of 150 to 1.
-LEAST_GAIN = 5.0
+#: Least gain of log probability for which the motion is tried: odds of 20 to 1.
+LEAST_GAIN = 3.0
 #: What the motion leaves is no more than this share of the noise before. Uneven ground and lenses
-#: seem to move views a little, too, and a motion that changes so little does no harm.
+#: seem to move views a little, too, by 2 % at most.
 CLEARLY_LESS = 0.97
+#: A line delay is estimated beside the motion of single views where it is surer than this how the
+#: camera moves at each: a tenth of what is enough to estimate it alone.
+SURE_OF_PACE = 0.03
 #: Shares of the motion between views that are tried. The interval is longer than the readout.
 SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
 #: Degree of the polynomials that all images may be displaced by, as a lens does.
@@ -80,12 +83,12 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     sigma, gain = own_motion_evidence(fit, size)
     if gain <= LEAST_GAIN:
         return decision
-    found = None
-    for k in range(ROUNDS):
+    found, most_px = None, CLEARLY_LESS * _left_otherwise_px(fit, gain)
+    for _ in range(ROUNDS):
         moving = _moving(fit, observations, sigma)
-        if moving is None or moving.bundle.sigma_px > fit.bundle.sigma_px * (
-                1 if k else CLEARLY_LESS):
+        if moving is None or moving.bundle.sigma_px > most_px:
             break
+        most_px = moving.bundle.sigma_px
         found, fit, before = sigma, moving, sigma
         sigma = _size_after(fit)
         if abs(np.log(sigma / before)) < SETTLED:
@@ -110,8 +113,8 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
     sigma : float
         Of `OwnRows`.
     gain : float
-        Log of the probability over that without such motion; 0 where a focal length that varies
-        is more probable.
+        Log of the probability over that without such motion, were the errors independent. What
+        moves views makes those of neighbours in an image alike, so that is no argument against it.
 
     """
     bundle, observations, lens = fit.bundle, fit.observations, fit.state.lens
@@ -127,9 +130,8 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
     # what a lens does beyond the simple model of the first fit differs from view to view, too
     field = displacement_modes(bundle.xy + fit.linearisation.residual, size, HIGHEST_DEGREE)
     shared.append(Supposition('field', ('field',) * field.shape[2], field))
-    variance_inflation = robust_covariance_of(fit, size).variance_inflation
     joint = joint_information(fit, [*shared, Supposition(
-        'rows', ROW_NAMES, shifts.own.slope, of_views=True)], variance_inflation)
+        'rows', ROW_NAMES, shifts.own.slope, of_views=True)], 1.0)
     # what all views share: the further unknowns before these, and the mean of these
     rows = joint.places['rows']
     common = np.zeros((len(joint.score), rows.min() + len(ROW_NAMES)))
@@ -141,12 +143,18 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
     own = joint.information[np.ix_(rows, rows)] - by_common[rows] @ follows[:, :-1]
     pull = joint.score[rows] - by_common[rows] @ follows[:, -1]
     values, vectors = np.linalg.eigh((own + own.T) / 2)
-    sigma, gain = most_probable_size(np.maximum(values, 0), vectors.T @ pull, SIZES)
-    if gain > LEAST_GAIN:
-        times = tuple(observations.clock.times.tolist())
-        zoom = focal_evidence(fit, times, variance_inflation)
-        gain = 0.0 if zoom is not None and zoom.gain > gain else gain
-    return sigma, gain
+    return most_probable_size(np.maximum(values, 0), vectors.T @ pull, SIZES)
+
+
+def _left_otherwise_px(fit: RobustFit, gain: float) -> float:
+    """Return the noise that is left without such motion, with a zoom if that gains more."""
+    assert fit.observations.clock is not None
+    instants, left_px = tuple(fit.observations.clock.times.tolist()), fit.bundle.sigma_px
+    evidence = focal_evidence(fit, instants, 1.0)
+    if evidence is None or evidence.gain < gain:
+        return left_px
+    zoomed = zoomed_fit(fit, instants)
+    return min(left_px, zoomed.bundle.noise_rms(zoomed.state))
 
 
 def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
@@ -154,7 +162,7 @@ def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustF
     clock, shutter, start = fit.observations.clock, fit.observations.shutter, fit.state
     assert clock is not None
     near = STENCIL
-    if shutter is None or sigma > abs(start.line_delay):
+    if shutter is None or doubt_of_pace(fit) > SURE_OF_PACE:
         # the views are too far apart to tell more than how the camera moves on the whole
         shutter, near = RowShifts.none(len(fit.bundle.xy), clock.known), FAR_APART
     own = row_shifts(start, fit.bundle.blocks, fit.bundle.xy, clock, None, near, sigma).own

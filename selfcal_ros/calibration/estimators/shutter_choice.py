@@ -56,8 +56,6 @@ MOST_FOLLOWED = 0.3
 #: A start under a rolling shutter may leave so many times the noise of pairs of images, and so
 #: much of the image's longer side.
 ROLLING_NOISE, ROLLING_FRACTION = 20.0, 0.01
-#: A line delay is told where the motion of single views is less than this share of what it does.
-BESIDE_DELAY = 0.3
 #: Sigma of the readout time, in intervals between frames, beyond which it is open.
 OPEN_INTERVALS = 0.25
 
@@ -245,7 +243,7 @@ def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFact
                                               if test.differs(CERTAIN_SIGMAS)])
     if not score_line_delay(rolling, size).differs(CERTAIN_SIGMAS):
         return ShutterDecision(fit, shift=tested.shift)
-    if observations.neighbours is not None or _is_paced(rolling):
+    if observations.neighbours is not None or doubt_of_pace(rolling) < MAX_DOUBT:
         return ShutterDecision(rolling)
     return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
 
@@ -272,11 +270,11 @@ def may_be_rolling(problem: SelfCalibrationProblem, left_px: float) -> bool:
                               ROLLING_FRACTION * max(problem.size)))
 
 
-def _is_paced(fit: RobustFit) -> bool:
-    """Tell whether the views are so close in time that they tell how fast the camera moves."""
+def doubt_of_pace(fit: RobustFit) -> float:
+    """Tell how far it is open how fast the camera moves at the views; see `pace_doubt`."""
     clock = fit.observations.clock
-    return clock is not None and pace_doubt(fit.state, fit.bundle.blocks, fit.observations.xy,
-                                            clock) < MAX_DOUBT
+    return np.inf if clock is None else pace_doubt(fit.state, fit.bundle.blocks,
+                                                   fit.observations.xy, clock)
 
 
 def _with_line_delay(fit: RobustFit, observations: Observations) -> RobustFit:
@@ -312,10 +310,8 @@ def readout_of(fit: RobustFit, sigma_inflation: float) -> RowReadout | None:
     shutter, clock = fit.observations.shutter, fit.observations.clock
     if shutter is None or clock is None:
         return None
-    if shutter.own is not None and clock.known is None and (
-            shutter.own.near == FAR_APART
-            or shutter.own.sigma > BESIDE_DELAY * abs(fit.state.line_delay)):
-        # where views move so much by themselves, others hardly tell the line delay
+    if shutter.own is not None and shutter.own.near == FAR_APART and clock.known is None:
+        # where views are so far apart, others hardly tell the line delay
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
     value = fit.state.line_delay
