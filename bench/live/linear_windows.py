@@ -121,11 +121,12 @@ class LinearWindow:
         self._system.residual = residual * weight[:, None]
         influence = self._system.influence(self._rows) / slope
         sigma = self._sigma(residual)
-        covariance = self._covariance * sigma**2 * factor / mean
+        times = sigma**2 * factor / mean
+        covariance = self._covariance * times
         information = np.linalg.inv(covariance)
         every = np.arange(len(self.free))
         told = Information(covariance, influence, share, self._freedom / self._measured,
-                           self._system, slice(0, len(self.free)))
+                           self._system, slice(0, len(self.free)), times)
         return influence.sum(axis=0), information, shared_within_tracks(
             told, self.track, every, information)
 
