@@ -132,6 +132,20 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
     assert not blind or abs(blind.camera.K[0, 0] - 520) > 2 * abs(error[0])
 
 
+def test_columns_of_upright_photographs_are_read_in_turn():
+    sequence = far_apart(hand, 1)
+    tracks, K = sequence.tracks, CAMERA.K
+    # turned by 90 degrees: the former rows run from left to right
+    upright = replace(tracks, xy=np.column_stack([tracks.xy[:, 1], 639 - tracks.xy[:, 0]]),
+                      image_size=(480, 640))
+    result = calibrate(upright, facts=SQUARE)
+    error = result.camera.K[[0, 0, 1], [0, 2, 2]] - [K[1, 1], K[1, 2], 639 - K[0, 2]]
+
+    assert 'rows_by_view' in [finding.kind for finding in result.findings]
+    assert (np.abs(error) < [4 * result.sigma[name] for name in ('fx', 'cx', 'cy')]).all()
+    assert abs(error[0]) < 0.004 * 520 and result.noise_sigma_px < 0.23
+
+
 @pytest.mark.parametrize('kind', [hand, drive])
 def test_views_read_at_once_do_not_move_by_themselves(kind):
     for seed in range(2):

@@ -32,7 +32,8 @@ from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES, without_mean
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.shutter import FAR_APART, row_shifts, RowShifts
-from selfcal_ros.calibration.estimators.shutter_choice import doubt_of_pace, ShutterDecision
+from selfcal_ros.calibration.estimators.shutter_choice import (by_clock, doubt_of_pace,
+                                                               possible_clocks, ShutterDecision)
 from selfcal_ros.calibration.estimators.zoom_selection import zoomed_fit
 from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
@@ -76,11 +77,14 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
         As it was where views do not move by themselves, or their neighbours tell how.
 
     """
-    fit = decision.fit
-    if (fit.observations.clock is None or fit.observations.neighbours is not None
-            or fit.motion.zoom is not None):
+    fit, clock = decision.fit, decision.fit.observations.clock
+    if clock is None or fit.observations.neighbours is not None or fit.motion.zoom is not None:
         return decision
-    sigma, gain = own_motion_evidence(fit, size)
+    read = ([fit] if fit.observations.shutter is not None
+            else [by_clock(fit, one) for one in possible_clocks(clock, size)])
+    evidence = [own_motion_evidence(one, size) for one in read]
+    best = int(np.argmax([gain for _, gain in evidence]))
+    fit, (sigma, gain) = read[best], evidence[best]
     if gain <= LEAST_GAIN:
         return decision
     found, most_px = None, CLEARLY_LESS * _left_otherwise_px(fit, gain)

@@ -231,10 +231,10 @@ def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFact
     """
     if observations.clock is None:
         return ShutterDecision(fit)
-    clocks = _possible_clocks(observations.clock, size)
+    clocks = possible_clocks(observations.clock, size)
     if facts.shutter == 'rolling' or facts.line_delay_s is not None:
         return ShutterDecision(_best_timed(fit, observations, clocks))
-    tests = [score_line_delay(_by_clock(fit, clock), size) for clock in clocks]
+    tests = [score_line_delay(by_clock(fit, clock), size) for clock in clocks]
     tested = max(tests, key=lambda test: test.surely)
     if not tested.differs(CERTAIN_SIGMAS):
         return ShutterDecision(fit, shift=tested.shift if tested.differs(DOUBTFUL_SIGMAS)
@@ -248,18 +248,19 @@ def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFact
     return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
 
 
-def _possible_clocks(clock: Clock, size: tuple[int, int]) -> list[Clock]:
+def possible_clocks(clock: Clock, size: tuple[int, int]) -> list[Clock]:
     """Return the clocks by which an image may have been read."""
     return [clock, clock.by_columns(size[0])] if was_turned_upright(size) else [clock]
 
 
-def _by_clock(fit: RobustFit, clock: Clock) -> RobustFit:
+def by_clock(fit: RobustFit, clock: Clock) -> RobustFit:
+    """Return the same fit of images that were read by another clock."""
     return replace(fit, observations=replace(fit.observations, clock=clock))
 
 
 def _best_timed(fit: RobustFit, observations: Observations, clocks: list[Clock]) -> RobustFit:
     """Fit with a line delay by each of some clocks, and return what leaves least."""
-    return min((_with_line_delay(_by_clock(fit, clock), replace(observations, clock=clock))
+    return min((_with_line_delay(by_clock(fit, clock), replace(observations, clock=clock))
                 for clock in clocks), key=lambda one: one.bundle.sigma_px)
 
 
