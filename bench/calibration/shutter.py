@@ -16,7 +16,7 @@ Rolling shutter: camera and line delay found, their sigmas true, and global left
 
 Tracks of a drive and of a waved camera with 0, 5, 15 and 33 ms of readout; the share of runs in
 which camera and line delay together lie inside the stated ellipsoids. Then rendered videos at
-30 Hz, from images to K.
+30 Hz, from images to K, and twelve images of each as photographs.
 """
 
 from __future__ import annotations
@@ -41,6 +41,9 @@ NAMES = ('fx', 'cx', 'cy', 'k1', 'k2')
 LIMITS = (0.1, 2.0, 0.5)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2', lens_population=False)
 FAR_SIGMAS = 4.0
+#: Images of a video from one photograph to the next, half a second; largest errors of the
+#: photographs: focal length in percent, principal point in pixels.
+PHOTOGRAPH_STEP, PHOTOGRAPH_LIMITS = 15, (0.1, 1.0)
 
 
 def one_run(seed: int, kind: str, readout_ms: float):
@@ -72,9 +75,10 @@ def one_run(seed: int, kind: str, readout_ms: float):
 
 
 def run(report: Report, options) -> None:
-    """Print both tables."""
+    """Print the tables."""
     _coverage(report, options)
     _videos(report)
+    _photographs(report)
 
 
 def _coverage(report: Report, options) -> None:
@@ -142,3 +146,36 @@ def _videos(report: Report) -> None:
                 report.judge(shutter is None, f'{name}: found to be global')
     report.table(('path', 'readout ms', 'views', 'fx error %', 'pp error px', 'largest, sigmas',
                   'readout found, ms'), rows)
+
+
+def _photographs(report: Report) -> None:
+    report.section('Rolling shutter, rendered: twelve photographs, half a second apart',
+                   'The same cameras and facts. Views so far apart do not tell how the camera '
+                   'moved while one was read.')
+    rows = []
+    for kind in PATHS:
+        for readout in READOUTS_MS:
+            video = rolling_video(kind, 1e-3 * readout)
+            renderer = video.renderer(2)
+            found = extract_tracks(
+                ((k, video.frame(k, renderer), int(video.stamps_ns[k]))
+                 for k in range(0, len(video.stamps_ns), PHOTOGRAPH_STEP)), mode='wide')
+            result = calibrate(found.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+            name = f'{kind}, {readout} ms'
+            if not result:
+                report.judge(False, f'{name}: {result}')
+                continue
+            error = (result.camera.parameters - video.camera.parameters)[[0, 2, 3]]
+            focal, aside = 100 * error[0] / 520, float(np.hypot(*error[1:]))
+            sigmas = error / [result.sigma[one] for one in ('fx', 'cx', 'cy')]
+            told = {'rolling_shutter', 'rows_by_view'} & {one.kind for one in result.findings}
+            rows.append((kind, readout, f'{focal:+.3f}', f'{aside:.2f}',
+                         f'{np.abs(sigmas).max():.1f}', f'{result.noise_sigma_px:.3f}',
+                         ', '.join(sorted(told)) or 'global'))
+            report.verdict(f'{name}: fx error', focal, PHOTOGRAPH_LIMITS[0], '%')
+            report.verdict(f'{name}: principal point error', aside, PHOTOGRAPH_LIMITS[1], 'px')
+            report.verdict(f'{name}: largest error, sigmas', float(np.abs(sigmas).max()),
+                           FAR_SIGMAS)
+            report.judge(bool(told) == bool(readout), f'{name}: told')
+    report.table(('path', 'readout ms', 'fx error %', 'pp error px', 'largest, sigmas',
+                  'noise px', 'said'), rows)
