@@ -41,8 +41,8 @@ from selfcal_ros.calibration.uncertainty.random_effects import most_probable_siz
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 
-#: Least gain of log probability for which the motion is tried: odds of 20 to 1.
-LEAST_GAIN = 3.0
+#: Least gain of log probability for which the motion is tried: odds of three to one.
+LEAST_GAIN = 1.0
 #: What the motion leaves is no more than this share of the noise before. Uneven ground and lenses
 #: seem to move views a little, too, by 2 % at most.
 CLEARLY_LESS = 0.97
