@@ -47,6 +47,8 @@ from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import SOFTWARE
 
+#: Where no more than this share of the views is connected, it is said.
+MOST_CONNECTED = 0.7
 _LOGGER = logging.getLogger(__name__)
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
@@ -227,7 +229,10 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, request: _Request) -> Calibratio
             if of_one:
                 return of_one
         return request.refused(result, graph.frames)
-    result = replace(result, software=SOFTWARE)
+    views, used = len(tracks.frames), len(graph.frames)
+    alone = () if used > MOST_CONNECTED * views else (
+        Finding('views_unconnected', views=views, used=used),)
+    result = replace(result, software=SOFTWARE, findings=(*alone, *result.findings))
     # the last gate is one for all motions
     hint = only_a_hint(result)
     return result if hint is None else NotCalibrated.of(hint, frames=result.frames,

@@ -287,6 +287,11 @@ REMARKS: dict[str, Phrase] = {
         'Such frames show hardly any depth, and an estimate with them is off by more than its '
         'sigmas say, or fails.',
         'Nothing is wrong with the result. Move while you turn, if you record again.'),
+    'views_unconnected': Phrase(
+        'The result rests on {used} of {views} views: the others share too few tracks with them.',
+        'Views are joined by tracks that several of them see. Those that too few tracks join with '
+        'the largest group are not used.',
+        'Record with more overlap, or more images a second.'),
     # known objects
     'points_of_no_object': Phrase(
         '{count} observation{count:plural} of points that the object does not have '

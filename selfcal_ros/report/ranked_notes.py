@@ -36,15 +36,15 @@ DOUBT, WIDER, LEANS, MEANS, MADE = 4, 3, 2, 1, 0
 _DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_trusted',
           'fact_unchecked', 'fact_decides', 'other_camera_left_out', 'parameters_unobservable',
           'camera_changed', 'tracks_unexplained_whole', 'image_size_not_stated', 'fixed_camera',
-          'fixed_camera_features', 'rolling_shutter_suspected', 'rows_by_view',
-          'line_delay_open',
-          'object_misfits_frames')
+          'fixed_camera_features', 'rolling_shutter_suspected', 'line_delay_open',
+          'object_misfits_frames', 'views_unconnected')
 _WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_within_segment',
           'errors_at_object_points', 'errors_within_edge', 'regions_beyond_lens', 'lens_deviates',
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
           'lever_not_excluded', 'circular_motion', 'not_exactly_planar',
           'frames_turned_estimated', 'rolling_shutter', 'rolling_shutter_unstamped',
-          'rolling_shutter_stated', 'tracks_moving', 'motion_suggestion', 'motion_needed')
+          'rolling_shutter_stated', 'rows_by_view', 'tracks_moving', 'motion_suggestion',
+          'motion_needed')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'division_model',
          'tracks_contradictory', 'positions_surplus', 'positions_unregistered',

@@ -142,6 +142,23 @@ def test_a_vehicle_that_stops_often_is_no_head():
     assert result and world.away(result) < MAX_SIGMAS
 
 
+def test_tracks_of_a_zoom_that_miss_the_last_views_are_judged():
+    """Their views were fewer than the instants of the zoom, which raised an exception."""
+    world, _ = everyday.build('stops often', 403)
+    result = world.calibrated(everyday.SQUARE)
+
+    assert not result or world.away(result) < MAX_SIGMAS
+
+
+def test_it_is_said_that_few_of_the_views_are_connected():
+    """Three of ten views alone share tracks: 12 sigma off, and nothing was said."""
+    world, _ = everyday.build('drone, straight down', 401)
+    result = world.calibrated(everyday.SQUARE)
+
+    said = {one.kind: one.values for one in result.findings}
+    assert not result or said['views_unconnected'] == {'views': 10, 'used': 3}
+
+
 def test_a_view_that_a_wrong_homography_leads_astray_is_found_again():
     """
     Twelve tracks join a view of a head with the others, and it was left 170 px off.

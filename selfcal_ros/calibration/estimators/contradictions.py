@@ -27,6 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
+from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, OUTLIER_SIGMAS,
                                                        RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -58,21 +59,22 @@ def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
     every = Observations.of(given.select(placed), graph.frames)
     points = np.searchsorted(fit.observations.track, every.track)
     known = replace(fit.state, points=fit.state.points[points])
-    lost = _contradicting(_bundle(fit, every), known)
+    lost = _contradicting(_bundle(fit, every, fit.motion), known)
     others = Observations.of(given.select(~placed).with_at_least(VERIFYING_VIEWS + 1),
                              graph.frames)
     if len(others.view):
         # an adjustment counts the views that it is given
         shown = np.arange(others.view.max() + 1)
         state = with_all_points(fit.state.of_views(shown, np.zeros(0, int)), others)
-        bundle = _bundle(fit, others)
+        bundle = _bundle(fit, others, fit.motion.of_views(shown))
         lost += (len(others.view) if state is None
                  else _contradicting(bundle, bundle.refine_points(state)))
     return lost / max(len(every.view) + len(others.view), 1)
 
 
-def _bundle(fit: RobustFit, observations: Observations) -> Bundle[SceneState]:
-    return bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+def _bundle(fit: RobustFit, observations: Observations,
+            motion: MotionModel) -> Bundle[SceneState]:
+    return bundle_of(observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
 
 
 def _contradicting(bundle: Bundle[SceneState], state: SceneState) -> int:

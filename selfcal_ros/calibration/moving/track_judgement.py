@@ -132,13 +132,12 @@ def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observ
     placed = with_all_points(state, observations)
     if placed is None:
         return None
-    model = bundle.model
-    if isinstance(model, SceneModel):
-        model = replace(model, shutter=observations.displaced(placed).shutter)
     # an adjustment counts the views that it is given
-    counted = np.arange(observations.view.max() + 1)
-    state = replace(placed, path=placed.path.of_views(counted),
-                    row_motion=None if placed.row_motion is None else placed.row_motion[counted])
+    model, counted = bundle.model, np.arange(observations.view.max() + 1)
+    if isinstance(model, SceneModel):
+        model = replace(model, motion=model.motion.of_views(counted),
+                        shutter=observations.displaced(placed).shutter)
+    state = placed.of_views(counted, np.arange(len(placed.points)))
     own = Bundle(model, observations.view, observations.point, observations.xy,
                  priors=bundle.priors, sigma_px=bundle.sigma_px)
     return own, own.refine_points(state)
