@@ -56,6 +56,16 @@ class OwnRows:
     slope: np.ndarray
     near: int
 
+    @classmethod
+    def supposed(cls, sigma: float, near: int) -> OwnRows:
+        """Return what is supposed, of no observations yet."""
+        return cls(sigma, np.zeros((0, len(ROW_NAMES))), np.zeros((0, 2, len(ROW_NAMES))), near)
+
+    def of_others(self, count: int, views: int) -> OwnRows:
+        """Return no motion of so many views, and no effect on so many observations."""
+        return replace(self, motion=np.zeros((views, len(ROW_NAMES))),
+                       slope=np.zeros((count, 2, len(ROW_NAMES))))
+
     def select(self, rows: np.ndarray) -> OwnRows:
         """Return those of some observations."""
         return replace(self, slope=self.slope[rows])

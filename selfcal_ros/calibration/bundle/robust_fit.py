@@ -138,6 +138,11 @@ class Observations:
             return replace(self, shutter=None)
         return replace(self, shutter=shutter.of_others(len(self.view), len(self.clock.times)))
 
+    @property
+    def moves_by_view(self) -> bool:
+        """Tell whether views move while they are read, each in its own way; see `OwnRows`."""
+        return self.shutter is not None and self.shutter.own is not None
+
     def surely_timed(self) -> Observations:
         """
         Keep the observations of which it is known how the camera moved until they were read.
@@ -150,7 +155,7 @@ class Observations:
     def surely_timed_rows(self) -> np.ndarray:
         """Mark those observations, shape (N,)."""
         keep = np.ones(len(self.view), bool)
-        if self.clock is None or self.shutter is not None and self.shutter.own is not None:
+        if self.clock is None or self.moves_by_view:
             return keep
         for end in (0, len(self.clock.times) - 1):
             rows = np.flatnonzero(self.view == end)

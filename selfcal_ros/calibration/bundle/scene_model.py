@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.motion import MotionModel
-from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
+from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge, SHARED_NAMES)
 from selfcal_ros.calibration.bundle.shutter import (LINE_DELAY, RowShifts, with_line_delay,
@@ -86,6 +86,11 @@ class SceneModel:
     within_tracks = is_bent = True
 
     @property
+    def own_rows(self) -> OwnRows | None:
+        """Motion of each view while its rows are read, where that is estimated."""
+        return None if self.shutter is None else self.shutter.own
+
+    @property
     def eliminated_freedom(self) -> int:
         """Count what of a point the images could determine: of a direction, two."""
         return 2 if self.motion.fixed_centre else 3
@@ -133,8 +138,8 @@ class SceneModel:
             shared[:, :, unknowns.places((LINE_DELAY,))[0]] = self.shutter.slope
         planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
         own = path.by_views(J, seen.turned, seen.Y[:, 3:], view, planar)
-        if self.shutter is not None and self.shutter.own is not None:
-            own = np.concatenate([own, self.shutter.own.slope], axis=2)
+        if self.own_rows is not None:
+            own = np.concatenate([own, self.own_rows.slope], axis=2)
         if self.motion.zoom is not None:
             own = differentiate(seen.pixels, self.motion.zoom, view, shared, own)
         return Linearisation(seen.residual, seen.ahead, shared, own,
@@ -181,7 +186,7 @@ class SceneModel:
     def _moved_rows(self, state: SceneState, step: np.ndarray,
                     unknowns: Unknowns) -> np.ndarray | None:
         """Return each view's own motion after a step (n,)."""
-        if self.shutter is None or self.shutter.own is None:
+        if self.own_rows is None:
             return state.row_motion
         more: np.ndarray = step[unknowns.of_views(*ROW_NAMES)]
         return more if state.row_motion is None else state.row_motion + more
@@ -211,9 +216,9 @@ class SceneModel:
                 step[unknowns.of_views(VIEW_NAME)[:, 0]] = change
         if self.shutter is not None:
             step[unknowns.places((LINE_DELAY,))] = other.line_delay - state.line_delay
-            if self.shutter.own is not None and other.row_motion is not None:
-                step[unknowns.of_views(*ROW_NAMES)] = other.row_motion - (
-                    0 if state.row_motion is None else state.row_motion)
+        if self.own_rows is not None and other.row_motion is not None:
+            step[unknowns.of_views(*ROW_NAMES)] = other.row_motion - (
+                0 if state.row_motion is None else state.row_motion)
         return step
 
     def prior_terms(self, state: SceneState, unknowns: Unknowns) -> PriorTerms:
@@ -221,27 +226,26 @@ class SceneModel:
         terms = path_prior(state.path, self.motion, unknowns)
         if self.shutter is not None:
             terms = with_stated_delay(terms, state.line_delay, self.shutter, unknowns)
-            if self.shutter.own is not None:
-                terms = self.shutter.own.add_prior(terms, state.row_motion, unknowns)
+        if self.own_rows is not None:
+            terms = self.own_rows.add_prior(terms, state.row_motion, unknowns)
         return with_walk(terms, state.zoom, self.motion.zoom, unknowns)
 
     def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return what the priors add beside the diagonal: places (k,), and matrix (k, k)."""
         of_zoom = couplings(self.motion.zoom, unknowns)
-        if self.shutter is None or self.shutter.own is None:
+        if self.own_rows is None:
             return of_zoom
-        of_rows = self.shutter.own.couplings(unknowns)
+        of_rows = self.own_rows.couplings(unknowns)
         if of_zoom is None:
             return of_rows
         return (np.concatenate([of_zoom[0], of_rows[0]]), block_diag(of_zoom[1], of_rows[1]))
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
-        of_rows = 0
-        if self.shutter is not None:
-            of_rows = self.shutter.is_soft + (
-                0 if self.shutter.own is None else len(ROW_NAMES) * views)
-        return path_prior_count(self.motion, views) + walk_count(self.motion.zoom) + of_rows
+        stated = self.shutter is not None and self.shutter.is_soft
+        of_rows = 0 if self.own_rows is None else len(ROW_NAMES) * views
+        return (path_prior_count(self.motion, views) + walk_count(self.motion.zoom) + stated
+                + of_rows)
 
     def gauge(self, state: SceneState, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that scales the world; a camera that turns has no scale."""

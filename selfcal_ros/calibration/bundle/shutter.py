@@ -85,8 +85,8 @@ class RowShifts:
 
     def of_others(self, count: int, views: int) -> RowShifts:
         """Return no displacement of so many other observations that are read alike."""
-        return replace(self.none(count, self.known), own=self.own and replace(
-            self.own, motion=np.zeros((views, 6)), slope=np.zeros((count, 2, 6))))
+        return replace(self.none(count, self.known),
+                       own=self.own and self.own.of_others(count, views))
 
     @property
     def is_held(self) -> bool:

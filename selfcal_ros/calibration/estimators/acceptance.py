@@ -147,10 +147,9 @@ def _is_explained(found: _Optimum) -> NoEstimate | None:
 
 def _lens_fits(found: _Optimum) -> NoEstimate | None:
     """Refuse deviations that are smooth over the image and larger than a lens's."""
-    shutter = found.fit.observations.shutter
     return deviates_too_far(found.field, found.problem.size, found.fit.bundle.sigma_px,
                             found.problem.facts, found.stated, found.focal_share,
-                            shutter is not None and shutter.own is not None)
+                            found.fit.observations.moves_by_view)
 
 
 def _can_be_checked(found: _Optimum) -> NoEstimate | None:

@@ -28,7 +28,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.clock import STENCIL
-from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES, without_mean
+from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES, without_mean
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.shutter import FAR_APART, row_shifts, RowShifts
@@ -125,14 +125,15 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
     assert observations.clock is not None
     shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, observations.clock, own_sigma=1.0)
     assert shifts.own is not None
-    seen = bundle.xy + fit.linearisation.residual - lens.values[2:4]
+    projected = bundle.xy + fit.linearisation.residual
+    seen = projected - lens.values[2:4]
     free = dict(zip(lens.names, bundle.unknowns.free[bundle.unknowns.lens]))
     none = np.zeros(len(seen))
     shared = [Supposition(name, (name,), np.column_stack(columns)[:, :, None] / max(size))
               for name, columns in (('aspect', (none, seen[:, 1])), ('skew', (seen[:, 1], none)))
               if not free[name]]
     # what a lens does beyond the simple model of the first fit differs from view to view, too
-    field = displacement_modes(bundle.xy + fit.linearisation.residual, size, HIGHEST_DEGREE)
+    field = displacement_modes(projected, size, HIGHEST_DEGREE)
     shared.append(Supposition('field', ('field',) * field.shape[2], field))
     joint = joint_information(fit, [*shared, Supposition(
         'rows', ROW_NAMES, shifts.own.slope, of_views=True)], 1.0)
@@ -163,15 +164,15 @@ def _left_otherwise_px(fit: RobustFit, gain: float) -> float:
 
 def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
     """Fit with motion of each view of this size; what was an outlier without need not be one."""
-    clock, shutter, start = fit.observations.clock, fit.observations.shutter, fit.state
+    clock, shutter = fit.observations.clock, fit.observations.shutter
     assert clock is not None
     near = STENCIL
     if shutter is None or doubt_of_pace(fit) > SURE_OF_PACE:
         # the views are too far apart to tell more than how the camera moves on the whole
         shutter, near = RowShifts.none(len(fit.bundle.xy), clock.known), FAR_APART
-    own = row_shifts(start, fit.bundle.blocks, fit.bundle.xy, clock, None, near, sigma).own
-    offered = replace(observations, clock=clock).read_like(replace(shutter, own=own))
-    state = with_all_points(start, offered)
+    offered = replace(observations, clock=clock).read_like(
+        replace(shutter, own=OwnRows.supposed(sigma, near)))
+    state = with_all_points(fit.state, offered)
     if state is None:
         return None
     return fit_robustly(offered, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)

@@ -263,7 +263,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
             asked.add(one.name)
             freed, p_value, released = _released(fit, one, size)
             if p_value < CONTRADICTED:
-                (doubted if _moves_by_view(fit) else found).append(released)
+                (doubted if fit.observations.moves_by_view else found).append(released)
                 fit = freed
                 break
             if p_value < DOUBTED:
@@ -273,12 +273,6 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
                 unchecked += tuple(_unchecked(fit, one))
         else:
             return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
-
-
-def _moves_by_view(fit: RobustFit) -> bool:
-    """Tell whether views move by themselves while they are read, which bends each by its own."""
-    shutter = fit.observations.shutter
-    return shutter is not None and shutter.own is not None
 
 
 def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:

@@ -110,7 +110,7 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
 
     """
     found = fit.observations
-    if found.shutter is not None and found.shutter.own is None:
+    if found.shutter is not None and not found.moves_by_view:
         # at the ends of the path all but a few were left out, and none of them was rejected
         ends = given.frames[[0, -1]]
         given, agreeing = (some.select(~np.isin(some.frame, ends)) for some in (given, agreeing))
