@@ -34,8 +34,8 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
-from selfcal_ros.calibration.uncertainty.hidden_decentring import (DECENTRING, gain_by_decentring,
-                                                                   likely_decentring)
+from selfcal_ros.calibration.uncertainty.hidden_decentring import (decentred_lens, DecentredLens,
+                                                                   DECENTRING, likely_decentring)
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, LensChoice
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
@@ -156,13 +156,13 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
         trials = _trials(fit, names, facts, size, variance_inflation, decentring)
     plain = {name: _evidence(trial, variance_inflation) + PRIOR_LOG_ODDS.get(name, 0.0)
              for name, trial in trials.items()}
-    log_odds = {name: plain[name] + (gain_by_decentring(trial, variance_inflation)
-                                     if len(trials) > 1 else 0.0)
-                for name, trial in trials.items()}
+    decentred = {name: decentred_lens(trial, variance_inflation) if len(trials) > 1
+                 else DecentredLens.none(trial) for name, trial in trials.items()}
+    log_odds = {name: plain[name] + decentred[name].gain for name in trials}
     best = max(trials, key=lambda name: max(plain[name], log_odds[name] - BEYOND_DOUBT))
     found, stated, excess = trials[best], replace(facts, distortion=best), None
     if len(trials) > 1:
-        excess = _between(found, [(log_odds[best] - log_odds[name], trial)
+        excess = _between(found, [(log_odds[best] - log_odds[name], trial, decentred[name])
                                   for name, trial in trials.items() if name != best],
                           variance_inflation)
     for poorer in (None, *POORER[stated.distortion]):
@@ -330,25 +330,29 @@ def _evidence(fit: RobustFit, variance_inflation: float) -> float:
     return float(-cost + 0.5 * (log_after + np.linalg.slogdet(population.information)[1]))
 
 
-def _between(fit: RobustFit, others: list[tuple[float, RobustFit]], variance_inflation: float,
-             ) -> np.ndarray | None:
+def _between(fit: RobustFit, others: list[tuple[float, RobustFit, DecentredLens]],
+             variance_inflation: float) -> np.ndarray | None:
     """
     Covariance between families that explain the images about alike, and of what only they leave.
 
     That of the mixture, less that of the fit. The others come with the log of the odds against
-    them. None if they are certainly worse.
+    them, and with the decentring that these odds count. None if they are certainly worse.
     """
-    rivals = [(np.exp(-log_odds), other) for log_odds, other in others if log_odds <= CERTAIN]
+    rivals = [(np.exp(-log_odds), other, decentred) for log_odds, other, decentred in others
+              if log_odds <= CERTAIN]
     if not rivals:
         return None
-    total = 1 + sum(odds for odds, _ in rivals)
+    total = 1 + sum(odds for odds, *_ in rivals)
     matrix = slice(len(MATRIX_NAMES))
     own = fit.lens_covariance[matrix, matrix]
     excess, wider = _nothing(fit), np.zeros_like(own)
-    for odds, other in rivals:
-        apart = other.state.lens.values[matrix] - fit.state.lens.values[matrix]
+    for odds, other, decentred in rivals:
+        apart = ((other.state.lens.values + decentred.shift)[matrix]
+                 - fit.state.lens.values[matrix])
         excess[matrix, matrix] += odds / total * np.outer(apart, apart)
-        wider += odds / total * variance_inflation * (other.lens_covariance[matrix, matrix] - own)
+        wider += odds / total * (
+            variance_inflation * (other.lens_covariance[matrix, matrix] - own)
+            + decentred.covariance[matrix, matrix])
     # a rival that determines more does not make this one surer
     values, vectors = np.linalg.eigh(wider)
     excess[matrix, matrix] += (vectors * np.maximum(values, 0)) @ vectors.T

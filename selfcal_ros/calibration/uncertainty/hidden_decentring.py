@@ -31,7 +31,7 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.distortion_misfit import Supposed
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
-                                                              Supposition)
+                                                              Supposition, Tested)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.lenses.plumb_bob import tangential
@@ -82,6 +82,34 @@ class HiddenDecentring:
                 if len(certain) else ())
 
 
+@dataclass(frozen=True)
+class DecentredLens:
+    """
+    What the lens of a fisheye would be with decentring of the likeliest size.
+
+    Attributes
+    ----------
+    gain : float
+        By how much the images are likelier, the log of their probability. Zero where no size in
+        `DECENTRING` makes them likelier, or the model has coefficients for it.
+    shift : ndarray, shape (k,)
+        How the unknowns of the lens would move.
+    covariance : ndarray, shape (k, k)
+        Of that movement, to be added to theirs.
+
+    """
+
+    gain: float
+    shift: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def none(cls, fit: RobustFit) -> DecentredLens:
+        """Return that the lens stays as it is."""
+        count = len(fit.lens_covariance)
+        return cls(0.0, np.zeros(count), np.zeros((count, count)))
+
+
 def hidden_decentring(fit: RobustFit, variance_inflation: float, field: np.ndarray | None = None,
                       field_px: float = 1.0) -> HiddenDecentring | None:
     """
@@ -107,26 +135,21 @@ def hidden_decentring(fit: RobustFit, variance_inflation: float, field: np.ndarr
     possible = possible_decentring(fit)
     if possible is None:
         return None
-    unknowns, every = fit.bundle.unknowns, possible.columns
-    count = every.shape[2] // 2
-    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2') * count,
-                                                 every)],
-                               variance_inflation, field, field_px).test(_DECENTRING)
+    tested, response = _asked(fit, possible, variance_inflation, field, field_px)
     widest, spread = tested.with_prior(DECENTRING[-1]**2)
-    lenses = [slice(2 * k, 2 * k + 2) for k in range(count)]
+    lenses = [slice(k, k + 2) for k in range(0, len(tested.value), 2)]
     size = np.array([likely_decentring(widest[one], spread[one, one]) for one in lenses])
     found, after = tested.with_prior(np.repeat(size, 2)**2)
-    response = tested.response * unknowns.free[unknowns.lens][:, None]
     return HiddenDecentring(
         found.reshape(-1, 2), size,
         np.array([_is_certain(tested.value[one], tested.covariance[one, one])
                   for one in lenses]),
-        response @ (after + np.outer(found, found)) @ response.T, every)
+        response @ (after + np.outer(found, found)) @ response.T, possible.columns)
 
 
-def gain_by_decentring(fit: RobustFit, variance_inflation: float) -> float:
+def decentred_lens(fit: RobustFit, variance_inflation: float) -> DecentredLens:
     """
-    Return by how much decentring makes the images of a fisheye likelier.
+    Return what a fisheye would be with decentring, and how much likelier that is.
 
     Parameters
     ----------
@@ -137,22 +160,32 @@ def gain_by_decentring(fit: RobustFit, variance_inflation: float) -> float:
 
     Returns
     -------
-    float
-        Of the log of their probability, for the likeliest of the sizes in `DECENTRING`. Zero where
-        none is likelier than no decentring, or the model has coefficients for it.
+    DecentredLens
 
     """
     possible = possible_decentring(fit)
     if possible is None:
-        return 0.0
-    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2'), possible.columns)],
-                               variance_inflation).test(_DECENTRING)
+        return DecentredLens.none(fit)
+    tested, response = _asked(fit, possible, variance_inflation)
     if not np.isfinite(tested.covariance).all():
-        return 0.0
-    values, vectors = np.linalg.eigh(np.linalg.pinv(tested.covariance, hermitian=True))
+        return DecentredLens.none(fit)
+    values, vectors = np.linalg.eigh(tested.information)
     values = np.maximum(values, 0)
-    _, gain = most_probable_size(values, values * (vectors.T @ tested.value), DECENTRING)
-    return max(float(gain), 0.0)
+    size, gain = most_probable_size(values, values * (vectors.T @ tested.value), DECENTRING)
+    if gain <= 0:
+        return DecentredLens.none(fit)
+    found, after = tested.with_prior(size**2)
+    return DecentredLens(float(gain), response @ found, response @ after @ response.T)
+
+
+def _asked(fit: RobustFit, possible: Supposed, variance_inflation: float,
+           field: np.ndarray | None = None, field_px: float = 1.0) -> tuple[Tested, np.ndarray]:
+    """Ask the images for p1 and p2 of each lens; and how the free unknowns of lenses follow."""
+    names = ('p1', 'p2') * (possible.columns.shape[2] // 2)
+    tested = joint_information(fit, [Supposition(_DECENTRING, names, possible.columns)],
+                               variance_inflation, field, field_px).test(_DECENTRING)
+    unknowns = fit.bundle.unknowns
+    return tested, tested.response * unknowns.free[unknowns.lens][:, None]
 
 
 def possible_decentring(fit: RobustFit) -> Supposed | None:
