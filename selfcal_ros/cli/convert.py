@@ -32,9 +32,9 @@ from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.pipeline.excerpt import Excerpt
 
 if TYPE_CHECKING:
-    from selfcal_ros.pipeline.excerpt import Excerpt
     from selfcal_ros.pipeline.frame_source import Frame
 
 #: Kinds of camera file that can be written.
@@ -99,8 +99,9 @@ def run(args: argparse.Namespace) -> int:
     if _is_transform(args):
         return _convert_transform(args)
     if args.to or args.camera or args.fisheye or is_camera_file(args.input):
-        if not excerpt.is_whole:
-            raise ArgumentError('--start, --duration and --every are for images; leave them out.')
+        if excerpt != Excerpt():
+            raise ArgumentError('--start, --duration, --every and --half are for images; leave '
+                                'them out.')
         return _convert_camera(args)
     return _convert_images(args, excerpt)
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 
-from selfcal_ros.pipeline.excerpt import Excerpt
+from selfcal_ros.pipeline.excerpt import Excerpt, HALVES
 
 
 def add_excerpt_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +27,9 @@ def add_excerpt_arguments(parser: argparse.ArgumentParser) -> None:
                        help='pass over the first S seconds (image files count as 30 a second)')
     group.add_argument('--duration', type=float, metavar='S', help='use S seconds')
     group.add_argument('--every', type=int, metavar='N', help='use one of N images')
+    group.add_argument('--half', choices=HALVES,
+                       help='use one half of each image, as of a stereo camera that puts both '
+                            'views into one')
 
 
 def excerpt_from(args: argparse.Namespace) -> Excerpt:
@@ -39,4 +42,5 @@ def excerpt_from(args: argparse.Namespace) -> Excerpt:
         If a number is impossible.
 
     """
-    return Excerpt(args.start, args.duration, 1 if args.every is None else args.every)
+    return Excerpt(args.start, args.duration, 1 if args.every is None else args.every,
+                   args.half)

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import islice
 import logging
 from pathlib import Path
 import sys
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
@@ -37,7 +38,12 @@ from selfcal_ros.pipeline.long_policy import LongRecordings
 from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 
+if TYPE_CHECKING:
+    from selfcal_ros.pipeline.frame_source import FrameSource
+
 _LOGGER = logging.getLogger(__name__)
+#: Images that are asked whether they hold two views.
+_ASKED = 3
 
 
 @dataclass(frozen=True)
@@ -171,11 +177,15 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
     if settings.mask is not None:
         from selfcal_ros.features.mask import read_mask
         shared['mask'] = read_mask(settings.mask)
+    from selfcal_ros.pipeline.sources import open_source
     if settings.known_object:
         from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
         from selfcal_ros.features.targets import parse_target
         from selfcal_ros.pipeline.object_session import read_object_views
         target = parse_target(settings.known_object)
+        with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
+                         ) as source:
+            _refuse_two_views(source)
         reading = read_object_views(path, target, **shared)
         _tell(progress)
         return _timed(lambda: calibrate_known_object(
@@ -183,7 +193,6 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
             reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.pipeline.feature_session import generator, tracks_of
-    from selfcal_ros.pipeline.sources import open_source
     if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
@@ -192,6 +201,7 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
     with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                      ) as source:
         source.leaves_out_damaged = True
+        _refuse_two_views(source)
         if settings.long is not None and settings.long.concern(source, settings):
             from selfcal_ros.pipeline.long_recording import calibrate_long
             found = calibrate_long(source, settings, settings.long, mask, progress)
@@ -205,6 +215,19 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
         translation_frames=settings.translation_frames, views=settings.views,
         parallel_objects=settings.parallel_objects,
         rng=generator(settings.seed)), reading), reading
+
+
+def _refuse_two_views(source: FrameSource) -> None:
+    """Refuse images that hold two views, unless one half of them is asked for."""
+    if source.kind == 'tracks' or source.excerpt.half is not None:
+        return
+    from selfcal_ros.features.two_views import two_views
+    halves = two_views([frame.image for frame in islice(source, _ASKED)])
+    if halves:
+        first, _, second = halves.split()
+        raise InputError(f'Each image of {source.path} holds two views of one scene, {halves}, as '
+                         f'of a stereo camera: calibrate both with --cameras {first},{second}, or '
+                         f'one with --half {first}.')
 
 
 def _tell(progress: Progress | None) -> None:

@@ -16,11 +16,17 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
+from typing import get_args, Literal
+
+import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 
+#: Halves of an image that may be the image of a camera of its own.
+Half = Literal['left', 'right', 'top', 'bottom']
+HALVES: tuple[Half, ...] = get_args(Half)
 #: Stamps of a bag may lie so far out of order, seconds; reading goes on for so long.
 DISORDER_S = 1.0
 
@@ -28,7 +34,7 @@ DISORDER_S = 1.0
 @dataclass(frozen=True)
 class Excerpt:
     """
-    Which images of a recording are used; all of them by default.
+    Which images of a recording are used, and what of them; all of all by default.
 
     Parameters
     ----------
@@ -39,6 +45,8 @@ class Excerpt:
         Seconds that are used.
     every : int
         One of so many images is used, from the first within on.
+    half : {'left', 'right', 'top', 'bottom'}, optional
+        The half of each image that is used, as where a stereo camera puts two views into one.
 
     Raises
     ------
@@ -50,6 +58,7 @@ class Excerpt:
     start_s: float = 0.0
     duration_s: float | None = None
     every: int = 1
+    half: Half | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible numbers."""
@@ -61,11 +70,25 @@ class Excerpt:
                                 f'{self.duration_s:g}.')
         if self.every < 1:
             raise ArgumentError(f'Every how many images must be 1 or more, not {self.every}.')
+        if self.half is not None and self.half not in HALVES:
+            raise ArgumentError(f'The half of the images is one of {", ".join(HALVES)}, not '
+                                f'{self.half!r:.40}.')
 
     @property
     def is_whole(self) -> bool:
         """Tell whether every image is used."""
-        return self == Excerpt()
+        return replace(self, half=None) == Excerpt()
+
+    def cut(self, image: np.ndarray) -> np.ndarray:
+        """Return the part of an image (H, W) or (H, W, 3) that is used, without a copy."""
+        height, width = image.shape[0] // 2, image.shape[1] // 2
+        if self.half == 'left':
+            return image[:, :width]
+        if self.half == 'right':
+            return image[:, -width:]
+        if self.half == 'top':
+            return image[:height]
+        return image[-height:] if self.half == 'bottom' else image
 
     def among(self, count: int, rate_hz: float) -> int:
         """Return how many of `count` images at a rate are used, roughly."""
@@ -82,6 +105,8 @@ class Excerpt:
             words.append(f'{self.duration_s:g} s long')
         if self.every > 1:
             words.append(f'one of {self.every} images')
+        if self.half:
+            words.append(f'{self.half} half')
         return ', '.join(words)
 
 

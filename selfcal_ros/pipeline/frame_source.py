@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
 
@@ -232,10 +232,11 @@ class FrameSource(ABC):
         if self.excerpt.start_s > lasts_s + 1.0:
             raise self._beyond_the_end(lasts_s)
         self.count = self.excerpt.among(self.count, rate_hz)
-        self.description += f', {self.excerpt}'
 
     def _see_first(self) -> bool:
         """Learn the image size from the first frame of the recording; False if there is none."""
+        if self.excerpt != Excerpt():
+            self.description += f', {self.excerpt}'
         first = next(self._read(Reading(Excerpt())), None)
         if first is not None:
             self.image_size = first.image.shape[1], first.image.shape[0]
@@ -243,7 +244,10 @@ class FrameSource(ABC):
         return first is not None
 
     def _checked(self, frame: Frame) -> Frame:
-        """Refuse a frame whose size differs from those before it."""
+        """Cut the part that is used out of a frame; refuse a size that differs from before."""
+        if self.excerpt.half is not None:
+            frame = replace(frame, image=self.excerpt.cut(frame.image),
+                            bgr=None if frame.bgr is None else self.excerpt.cut(frame.bgr))
         size = frame.image.shape[1], frame.image.shape[0]
         if self.image_size is None:
             self.image_size = size

@@ -32,6 +32,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.bag_source import image_topics, is_bag
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.excerpt import Half
 from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
                                                   whole_table)
 from selfcal_ros.pipeline.frame_source import ClockName
@@ -46,17 +47,20 @@ if TYPE_CHECKING:
 
 #: Instants that are used unless somebody says how many.
 USUAL_INSTANTS = 40
+#: Halves of an image that make a pair.
+_PAIRS: tuple[tuple[Half, Half], ...] = (('left', 'right'), ('top', 'bottom'))
 #: Fewer instants are no recording.
 MIN_INSTANTS = 4
 
 
 @dataclass(frozen=True)
 class RigInput:
-    """One camera of a rig: its name, and where its images are."""
+    """One camera of a rig: its name, and where its images are, or a half of each."""
 
     name: str
     path: str
     topic: str | None = None
+    half: Half | None = None
 
 
 @dataclass(frozen=True)
@@ -92,10 +96,12 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     Parameters
     ----------
     paths : sequence of str
-        One an input for every camera, a single bag, or a folder with one folder a camera.
+        One an input for every camera, a single bag, or a folder with one folder a camera. Or a
+        recording whose images hold two views.
     cameras : str
         Names, separated by commas: 'left,right'; for a bag topics, or names that occur in them.
-        'left=/front/image_raw' gives a topic a name, and 'left=cam0' a folder.
+        'left=/front/image_raw' gives a topic a name, and 'left=cam0' a folder. Of two views in
+        one image 'left,right' or 'top,bottom'.
 
     Raises
     ------
@@ -108,7 +114,8 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
         raise ArgumentError('--cameras takes the names of two or more cameras, separated by '
                             'commas, such as left,right.')
     if len(paths) == 1:
-        found = _in_folder(paths[0], words) or _of_bag(paths[0], words)
+        found = (_in_folder(paths[0], words) or _of_halves(paths[0], words)
+                 or _of_bag(paths[0], words))
     elif len(paths) == len(words):
         parts = [word.partition('=') for word in words]
         found = [RigInput(name, path, topic or None)
@@ -123,7 +130,7 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     if len({one.name for one in found}) < len(found):
         raise ArgumentError('Two cameras have the same name; give them names, such as '
                             'left=/one/image_raw,right=/two/image_raw.')
-    if len({(Path(one.path).resolve(), one.topic) for one in found}) < len(found):
+    if len({(Path(one.path).resolve(), one.topic, one.half) for one in found}) < len(found):
         raise ArgumentError('Two cameras have the same images; give each camera its own INPUT '
                             'or topic.')
     return found
@@ -137,6 +144,15 @@ def _in_folder(path: str, words: list[str]) -> list[RigInput]:
               for name, _, folder in (word.partition('=') for word in words)]
     return ([RigInput(name, str(place)) for name, place in places]
             if all(place.is_dir() for _, place in places) else [])
+
+
+def _of_halves(path: str, words: list[str]) -> list[RigInput]:
+    """Take two halves of each image; none where they are not named, or cameras have their own."""
+    halves = next((pair for pair in _PAIRS if sorted(pair) == sorted(words)), ())
+    if not halves or not Path(path).exists() or Path(path).suffix.lower() == '.csv' or (
+            is_bag(Path(path)) and len(image_topics(Path(path))) != 1):
+        return []
+    return [RigInput(half, path, half=half) for half in sorted(halves, key=words.index)]
 
 
 def _of_bag(path: str, words: list[str]) -> list[RigInput]:
@@ -204,7 +220,8 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
                            image_size=settings.image_size, excerpt=settings.excerpt)
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(
-            one.path, one.topic, settings.image_size, excerpt=settings.excerpt))
+            one.path, one.topic, settings.image_size,
+            excerpt=replace(settings.excerpt, half=one.half or settings.excerpt.half)))
             for one in inputs]
         reading = _read(inputs, sources, settings, progress)
     result = calibrate_rig(reading.tracks, shared_tracks=reading.shared, motion=settings.motion,

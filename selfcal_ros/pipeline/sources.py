@@ -94,9 +94,9 @@ def open_source(path: str | Path, topic: str | None = None,
         return ImageFolderSource(path, image_size, colour, excerpt)
     if suffix in VIDEO_SUFFIXES:
         return VideoSource(path, image_size, colour, excerpt)
-    if not excerpt.is_whole:
-        raise InputError(f'{path} is a table of tracks, and a start, a duration and every '
-                         'how many are for images; leave them out.')
+    if excerpt != Excerpt():
+        raise InputError(f'{path} is a table of tracks, and a start, a duration, every how many '
+                         'and a half are for images; leave them out.')
     return TracksSource(path, image_size)
 
 

@@ -75,7 +75,8 @@ def test_a_decentred_fisheye_is_not_taken_for_a_rational_lens_that_has_p1_and_p2
 
 def test_a_barrel_that_a_decentred_fisheye_explains_alike_keeps_its_sigmas():
     """The rival's camera counts with its decentring: without, sigma was 2.7 times as large."""
-    camera = Camera([[540, 0, 328], [0, 540, 235], [0, 0, 1]], (-0.3, 0.1, 1e-3, 5e-4, 0), 640, 480)
+    camera = Camera([[540, 0, 328], [0, 540, 235], [0, 0, 1]], (-0.3, 0.1, 1e-3, 5e-4, 0), 640,
+                    480)
     tracks = hand_held(np.random.default_rng(0), 0.2, 16, 600, 10, camera).tracks
     found, stated = (calibrate(tracks, facts=CameraFacts(1.0, 0.0, distortion=lens))
                      for lens in ('auto', 'plumb_bob'))

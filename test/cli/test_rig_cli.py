@@ -28,14 +28,17 @@ from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
 from selfcal_ros import CameraFacts
 from selfcal_ros.cli.main import main
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
+from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs, RigInput
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
 from selfcal_ros.report.rig_files import why_no_camchain
+from selfcal_ros.synthetic.recordings import agv_drive
 from selfcal_ros.synthetic.rig_scenes import hand_path, rig_scene
 import yaml
 
@@ -291,6 +294,51 @@ def test_a_file_of_a_bag_holds_the_cameras_as_its_folder_does(tmp_path):
     for path in (tmp_path / 'bag', *(tmp_path / 'bag').glob('*.mcap')):
         assert rig_inputs([str(path)], 'left,right') == [
             RigInput(name, str(path), f'/{name}/image_raw') for name in ('left', 'right')]
+
+
+def test_halves_of_the_images_are_two_cameras(tmp_path):
+    images = tmp_path / 'stereo'
+    images.mkdir()
+    assert rig_inputs([str(images)], 'right,left') == [
+        RigInput(half, str(images), half=half) for half in ('right', 'left')]
+    assert [one.half for one in rig_inputs([str(images)], 'top,bottom')] == ['top', 'bottom']
+    write_image_bag(tmp_path / 'bag', [Frame(0, 10**18, np.zeros((48, 64), np.uint8))],
+                    '/stereo/image_raw')
+    assert rig_inputs([str(tmp_path / 'bag')], 'left,right')[0].half == 'left'
+    # a folder, a topic of its own, or a name that is no half
+    for name in ('left', 'right'):
+        (images / name).mkdir()
+    assert {one.half for one in rig_inputs([str(images)], 'left,right')} == {None}
+    for words in ('left,top', 'left,right,top', 'left,rear'):
+        with pytest.raises(ArgumentError, match='holds no folder for each camera'):
+            rig_inputs([str(images)], words)
+
+
+def test_two_views_in_one_image_give_what_two_folders_give(tmp_path):
+    """The right camera is 12 cm beside the left one, and turned nowhere."""
+    drive = agv_drive(8, (320, 240), distortion=(), pitch_deg=12, noise_sigma=1.0)
+    aside = drive.cam_from_world.copy()
+    aside[:, 0, 3] -= 0.12
+    renderer = drive.renderer(2)
+    for name in ('both', 'pair/left', 'pair/right'):
+        (tmp_path / name).mkdir(parents=True)
+    for index in range(len(drive)):
+        views = [np.rint(renderer.intensity(poses[index])).clip(0, 255).astype(np.uint8)
+                 for poses in (drive.cam_from_world, aside)]
+        for name, view in zip(('pair/left', 'pair/right', 'both'), (*views, np.hstack(views))):
+            cv2.imwrite(str(tmp_path / name / f'{index}.png'), view)
+    with pytest.raises(InputError, match='two views .* --cameras left,right, or one with --half'):
+        calibrate_input(tmp_path / 'both', CalibrationSettings())
+    settings = CalibrationSettings(facts=CameraFacts(1.0, 0.0, distortion='none'))
+    found, apart = (calibrate_rig_input(rig_inputs([str(tmp_path / name)], 'left,right'), settings,
+                                        baseline=(0.12, 0.0))[0] for name in ('both', 'pair'))
+    pose = found.poses['right'].T_rig_camera
+    assert np.array_equal(pose, apart.poses['right'].T_rig_camera)
+    assert np.abs(pose[:3, 3] - [0.12, 0, 0]).max() < 0.001
+    for name in ('left', 'right'):
+        camera, sigma = found.cameras[name].camera, found.cameras[name].sigma
+        assert (camera.width, camera.height) == (320, 240)
+        assert abs(camera.K[0, 0] - drive.camera.K[0, 0]) < 3 * sigma['fx']
 
 
 def test_the_same_images_are_no_two_cameras():

@@ -74,6 +74,23 @@ def test_what_is_asked_for_is_read(recording, start, count, every, expected):
         assert not list(source.only([]))
 
 
+@pytest.mark.parametrize('half, rows, columns', [
+    ('left', slice(0, 65), slice(0, 81)), ('right', slice(0, 65), slice(82, 163)),
+    ('top', slice(0, 32), slice(0, 163)), ('bottom', slice(33, 65), slice(0, 163))])
+def test_half_of_each_image_is_read_in_grey_and_in_colour(tmp_path, half, rows, columns):
+    image = np.random.default_rng(0).integers(0, 255, (65, 163, 3), np.uint8)
+    for index in range(2):
+        cv2.imwrite(str(tmp_path / f'{index}.png'), image)
+    with open_source(tmp_path, colour=True, excerpt=Excerpt(half=half)) as source:
+        frame = list(source)[1]
+        assert source.image_size == frame.image.shape[::-1]
+        assert f'{half} half' in source.description
+    with open_source(tmp_path) as source:
+        whole = next(iter(source)).image
+    assert np.array_equal(frame.bgr, image[rows, columns])
+    assert np.array_equal(frame.image, whole[rows, columns])
+
+
 @pytest.mark.parametrize('start_s', [2.05, 3.5, 1e6])
 def test_a_start_beyond_the_end_is_one_sentence(recording, start_s):
     path, rate_hz = recording
@@ -91,10 +108,17 @@ def test_impossible_numbers_are_refused(arguments):
         Excerpt(**arguments)
 
 
+def test_a_half_that_there_is_not_is_refused():
+    with pytest.raises(ArgumentError, match='one of left, right, top, bottom'):
+        Excerpt(half='middle')
+
+
 def test_the_command_takes_the_part(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'tracks.csv').write_text('frame,track,x,y\n0,0,1,1\n1,0,2,2\n')
     assert main(['calibrate', 'tracks.csv', '--start', '1']) == 2
+    assert 'is a table of tracks' in capsys.readouterr().err
+    assert main(['calibrate', 'tracks.csv', '--half', 'left']) == 2
     assert 'is a table of tracks' in capsys.readouterr().err
     assert main(['calibrate', 'tracks.csv', '--every', '0']) == 2
     write_image_bag('whole', (Frame(k, k * 10 ** 8, _image(k)) for k in range(COUNT)))

@@ -1,0 +1,82 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Images that hold two views of one scene, and images that only look so."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from selfcal_ros.features.two_views import two_views
+
+
+def texture(seed, size=(240, 420), scale=6):
+    """Draw smooth texture, uint8 (H, W)."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.uniform(0, 255, (size[0] // scale + 1, size[1] // scale + 1)).astype(np.float32)
+    return cv2.resize(coarse, size[::-1], interpolation=cv2.INTER_CUBIC).clip(0, 255)
+
+
+def stereo(seed, shift=24, noise=4.0, brightness=1.1):
+    """Cut two views of 320 pixels out of a texture, of cameras that are not quite alike."""
+    rng = np.random.default_rng([seed, 1])
+    whole = texture(seed)
+    left, right = whole[:, :320], brightness * whole[:, shift:shift + 320]
+    return [(one + rng.normal(0, noise, one.shape)).clip(0, 255).astype(np.uint8)
+            for one in (left, right)]
+
+
+def bricks(period):
+    """Draw a wall that repeats itself, of one view."""
+    image = np.full((240, 640), 150, np.uint8)
+    for y in range(0, 240, period // 2):
+        cv2.line(image, (0, y), (639, y), 90, 2)
+        for x in range((2 * y // period % 2) * period // 2, 640, period):
+            cv2.line(image, (x, y), (x, y + period // 2), 90, 2)
+    noise = np.random.default_rng(period).normal(0, 4, image.shape)
+    return (image + noise).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_two_views_beside_or_above_each_other_are_told(seed):
+    views = stereo(seed)
+    assert two_views([np.hstack(views), np.hstack(stereo(seed + 9))]) == 'left and right'
+    assert two_views([np.vstack(views)]) == 'top and bottom'
+    # one image of one view is enough to think otherwise
+    assert two_views([np.hstack(views), texture(seed, (240, 640)).astype(np.uint8)]) is None
+    assert two_views([np.hstack([views[0], stereo(seed + 1)[1]])]) is None
+
+
+@pytest.mark.parametrize('image', [
+    *(bricks(period) for period in (32, 40, 64)), np.zeros((240, 640), np.uint8),
+    np.full((8, 8), 9, np.uint8), texture(5, (240, 640)).astype(np.uint8),
+    cv2.rectangle(texture(6, (240, 640)).astype(np.uint8), (316, 0), (324, 240), 0, -1)])
+def test_one_view_is_not_taken_for_two(image):
+    assert two_views([image]) is None and two_views([]) is None
+
+
+def test_a_recorded_pair_is_told_and_recorded_views_are_not():
+    folder = next((parent / 'shared/data' for parent in Path(__file__).resolve().parents
+                   if (parent / 'shared/data').is_dir()), None)
+    if folder is None:
+        pytest.skip('the recorded sets shared/data are not there')
+    pair = [[cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+             for file in sorted((folder / 'euroc_v101' / name).glob('*.*g'))[:50:20]]
+            for name in ('cam0', 'cam1')]
+    assert two_views([np.hstack(views) for views in zip(*pair)]) == 'left and right'
+    assert two_views([np.vstack(views) for views in zip(*pair)]) == 'top and bottom'
+    for name in ('fountain_p11', 'kitti00_turn_a', 'kuka_chess', 'rct_circles', 'vgg_corridor'):
+        for file in sorted((folder / name / 'images').iterdir())[:3]:
+            image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+            assert image is None or two_views([image]) is None, file
