@@ -83,6 +83,12 @@ _TO_BGR = {
 }
 
 
+#: Percentiles of an image that are its range, and rows or columns that are enough for them.
+_USUAL, _SAMPLED = (0.2, 99.8), 128
+#: What is added to either end of a range, as a share of it; it counts as so many values at least.
+_ROOM, _LEAST_RANGE = 0.2, 64
+
+
 def is_compressed(msg: Message) -> bool:
     """Tell a CompressedImage from an Image."""
     return hasattr(msg, 'format') and not hasattr(msg, 'encoding')
@@ -92,15 +98,22 @@ class ImageDecoder:
     """
     Decodes the images of one stream, Image and CompressedImage alike.
 
+    Images of 16 bits are scaled to 8 by their depth. Those without colour are scaled by their
+    range where that is less than half of it: a thermal camera may use a fortieth of its depth.
+
     Attributes
     ----------
     depth_bits : int
         Depth of the 16-bit images so far: 0 (none seen), 10, 12, 14 or 16. It only grows.
+    range : (int, int), optional
+        Values of 16-bit images without colour that are shown as 0 and 255; None before there is
+        one. It only grows.
 
     """
 
     def __init__(self) -> None:
         self.depth_bits = 0
+        self.range: tuple[int, int] | None = None
 
     def grey(self, msg: Message) -> np.ndarray:
         """
@@ -112,7 +125,8 @@ class ImageDecoder:
             If the message contradicts itself or its encoding is not supported.
 
         """
-        return self._eight_bits(_convert(*_pixels(msg, colour=False), colour=False))
+        samples, order = _pixels(msg, colour=False)
+        return self._eight_bits(_convert(samples, order, False), order == 'mono')
 
     def bgr(self, msg: Message) -> np.ndarray:
         """
@@ -124,34 +138,52 @@ class ImageDecoder:
             If the message contradicts itself or its encoding is not supported.
 
         """
-        return self._eight_bits(_convert(*_pixels(msg, colour=True), colour=True))
+        samples, order = _pixels(msg, colour=True)
+        return self._eight_bits(_convert(samples, order, True), order == 'mono')
 
     def colour(self, msg: Message) -> np.ndarray | None:
         """Return what `bgr` does, or None where the image has no colours."""
         samples, order = _pixels(msg, colour=True)
-        return None if order == 'mono' else self._eight_bits(_convert(samples, order, True))
+        return None if order == 'mono' else self._eight_bits(_convert(samples, order, True), False)
 
     def file_grey(self, data: bytes) -> np.ndarray:
         """Return an encoded image file (jpeg, png, ...) in grey, shape (H, W), uint8."""
-        return self._eight_bits(decode_file(data, colour=False))
+        return self._eight_bits(decode_file(data, colour=False), True)
 
     def file_colour(self, data: bytes) -> np.ndarray | None:
         """Return an encoded image file in bgr, (H, W, 3), uint8; None if it has no colours."""
         image = decode_file(data, colour=True)
-        return None if image.ndim == 2 else self._eight_bits(image)
+        return None if image.ndim == 2 else self._eight_bits(image, False)
 
-    def _eight_bits(self, image: np.ndarray) -> np.ndarray:
-        """Scale 16 bits to 8 by the depth of the stream."""
+    def _eight_bits(self, image: np.ndarray, is_mono: bool) -> np.ndarray:
+        """Scale 16 bits to 8 by the depth or the range of the stream."""
         if image.dtype == np.uint8:
             return image
         needed = int(image.max()).bit_length()
         self.depth_bits = max(self.depth_bits,
                               next(bits for bits in (10, 12, 14, 16) if needed <= bits))
-        full = (1 << self.depth_bits) - 1
-        # full scale to 255, rounded to nearest
-        table = (np.arange(full + 1, dtype=np.uint32) * 510 + full) // (2 * full)
+        low, high = 0, (1 << self.depth_bits) - 1
+        if is_mono:
+            low, high = self.range = self._range_with(image)
+        # to 255, rounded to nearest
+        table = np.arange(1 << self.depth_bits, dtype=np.int64).clip(low, high) - low
+        table = (table * 510 + high - low) // (2 * (high - low))
         shown: np.ndarray = table.astype(np.uint8)[image]
         return shown
+
+    def _range_with(self, image: np.ndarray) -> tuple[int, int]:
+        """Return what is to be shown, once an image of 16 bits is counted."""
+        full = (1 << self.depth_bits) - 1
+        step = max(min(image.shape[:2]) // _SAMPLED, 1)
+        usual = np.percentile(image[::step, ::step], _USUAL)
+        low, high = self.range or usual
+        if self.range is None or usual[0] < low or usual[1] > high:
+            # some room, lest the scale change at every image
+            room = _ROOM * max(float(np.ptp(usual)), _LEAST_RANGE)
+            low, high = min(low, usual[0] - room), max(high, usual[1] + room)
+        if high - low > full / 2:
+            return 0, full
+        return max(int(low), 0), min(int(np.ceil(high)), full)
 
 
 def depth_metres(msg: Message) -> np.ndarray:

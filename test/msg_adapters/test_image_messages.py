@@ -142,6 +142,33 @@ def test_the_depth_of_a_stream_only_grows(types, header):
     assert decoder.grey(message(65535))[0, 0] == 255 and decoder.depth_bits == 16
 
 
+@pytest.mark.parametrize('encoding', ['mono16', '16UC1'])
+def test_a_thermal_camera_keeps_its_contrast(types, header, encoding):
+    """Twenty kelvins of 655: by the depth all of it would be eight grey levels."""
+    scene = np.linspace(29000, 31000, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+
+    def shown(decoder, kelvins):
+        values = (scene + 100 * kelvins).round().astype('<u2').view(np.uint8)
+        return decoder.grey(build(types, header, encoding, values)).astype(float)
+
+    decoder = ImageDecoder()
+    first = shown(decoder, 0)
+    assert np.ptp(first) > 150
+    # warmer by a kelvin: brighter, in the same scale
+    assert abs(np.median(shown(decoder, 1) - first) - np.ptp(first) / 20) < 1.5
+    # much warmer: all is shown, and stays in that scale
+    warmer = shown(decoder, 15)
+    assert 80 < np.ptp(warmer) < np.ptp(first) and warmer.max() < 255
+    assert np.median(shown(decoder, 0)) < np.median(first)
+
+
+def test_colours_of_sixteen_bits_are_scaled_by_the_depth_alone(types, header):
+    samples = np.dstack([np.linspace(500, 900, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)] * 3)
+    rows = samples.round().astype('<u2').reshape(HEIGHT, -1).view(np.uint8)
+    grey = image_to_grey(build(types, header, 'bgr16', rows))
+    assert np.abs(grey - samples[..., 0] / 1023 * 255).max() <= 1
+
+
 @pytest.mark.parametrize('encoding, dtype, shape', [
     ('mono8', np.uint8, (5, 7)), ('bgr8', np.uint8, (5, 7, 3)), ('bgra8', np.uint8, (5, 7, 4)),
     ('mono16', np.uint16, (5, 7)), ('bgr16', np.uint16, (5, 7, 3))])
