@@ -270,6 +270,13 @@ REMARKS: dict[str, Phrase] = {
         'The motion leaves the fact open. Most sensors have square pixels within 0.001, but '
         'images that were resized or rectified need not.',
         'State the fact with a sigma, or move so that the images tell.'),
+    'images_rectified': Phrase(
+        'No point is distorted by more than {share:.2%}, so the images seem to be rectified. '
+        'Rectified pixels are often not square, by some percent, and the images cannot check it.',
+        'One of 24 measured lenses distorts so little. What OpenCV rectifies without black '
+        'borders is stretched.',
+        'Calibrate from the raw images; or state fy / fx of P of their CameraInfo as '
+        '--aspect-ratio.'),
     'fact_trusted': Phrase(
         'The images contradict the stated {fact}: they prefer {preferred:preferred}. It was '
         'declared exact, and the calibration keeps to it.',
