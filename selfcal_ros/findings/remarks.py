@@ -361,6 +361,12 @@ REMARKS: dict[str, Phrase] = {
         'Damaged and left out: {count} image{count:plural}, the first is {first}. {why}.',
         'A truncated image decodes with a grey rest, in which wrong points would be found.',
         'Nothing, if they are few. If they are many, look at the disk and the transport.'),
+    'images_interlaced': Phrase(
+        'Interlaced: {count} image{count:plural}. Their odd rows are of another instant, and only '
+        'the even ones were used.',
+        'An analogue camera sends odd and even rows one after the other, and the camera moved '
+        'between them.',
+        'Nothing. A camera with a progressive scan tells more in so many images.'),
     'image_size_not_stated': Phrase(
         'The size of the images is not stated, so the smallest that holds all points is taken: '
         'state it with --image-size.',

@@ -200,7 +200,7 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
     return_freed_memory()
     with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                      ) as source:
-        source.leaves_out_damaged = True
+        source.leaves_out_damaged = source.deinterlaces = True
         _refuse_two_views(source)
         if settings.long is not None and settings.long.concern(source, settings):
             from selfcal_ros.pipeline.long_recording import calibrate_long

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
@@ -65,6 +65,11 @@ class Frame:
     name: str = ''
     bgr: np.ndarray | None = None
 
+    def changed(self, change: Callable[[np.ndarray], np.ndarray]) -> Frame:
+        """Return the frame with something done to the image, in grey and in colour."""
+        return replace(self, image=change(self.image),
+                       bgr=None if self.bgr is None else change(self.bgr))
+
 
 class _Pairs:
     """The first two of every `stride` image numbers, for `FrameSource.pairs`."""
@@ -109,6 +114,8 @@ class FrameSource(ABC):
         are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
     leaves_out_damaged : bool
         Pass over damaged images after the first, and count them; otherwise they are errors.
+    deinterlaces : bool
+        Use the even rows of interlaced images alone, and count these.
 
     """
 
@@ -132,6 +139,8 @@ class FrameSource(ABC):
         self.image_size = self._stated_size
         self.leaves_out_damaged = False
         self._damaged: dict[int, tuple[str, str]] = {}
+        self.deinterlaces = False
+        self._interlaced: set[int] = set()
 
     @property
     def has_own_clock(self) -> bool:
@@ -203,11 +212,13 @@ class FrameSource(ABC):
         raise InputError(f'{self.path} holds images, not tracks.')
 
     def losses(self) -> tuple[Finding, ...]:
-        """Tell of the damaged images that were passed over so far."""
+        """Tell of images that were passed over so far, or used in part."""
+        told = (Finding('images_interlaced', count=len(self._interlaced)),
+                ) if self._interlaced else ()
         if not self._damaged:
-            return ()
+            return told
         name, why = self._damaged[min(self._damaged)]
-        return Finding('images_damaged', count=len(self._damaged), first=name, why=why),
+        return Finding('images_damaged', count=len(self._damaged), first=name, why=why), *told
 
     def close(self) -> None:
         """Release what is open; may be called twice."""
@@ -244,10 +255,14 @@ class FrameSource(ABC):
         return first is not None
 
     def _checked(self, frame: Frame) -> Frame:
-        """Cut the part that is used out of a frame; refuse a size that differs from before."""
+        """Take what is used of a frame; refuse a size that differs from those before."""
         if self.excerpt.half is not None:
-            frame = replace(frame, image=self.excerpt.cut(frame.image),
-                            bgr=None if frame.bgr is None else self.excerpt.cut(frame.bgr))
+            frame = frame.changed(self.excerpt.cut)
+        if self.deinterlaces:
+            from selfcal_ros.features.interlaced import is_interlaced, of_even_rows
+            if is_interlaced(frame.image):
+                self._interlaced.add(frame.index)
+                frame = frame.changed(of_even_rows)
         size = frame.image.shape[1], frame.image.shape[0]
         if self.image_size is None:
             self.image_size = size

@@ -142,7 +142,7 @@ def _search(source: FrameSource, target: Board, mask: ImageMask | None,
     apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
     seen = _Seen()
     last: _Points | None = None
-    source.leaves_out_damaged = True
+    source.leaves_out_damaged = source.deinterlaces = True
     for frame in source:
         identity, xy = _found(target, frame.image, seen.looked % apart == 0, mask)
         seen.looked += 1
