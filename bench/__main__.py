@@ -49,6 +49,7 @@ GROUPS = {
         'loops': 'drives that go round or pause on the way: right, or refused',
         'short_clips': 'clips that turn by 2 to 15 degrees: calibration, hint or refusal',
         'rendered_drive': 'rendered drive, images to K, beside COLMAP',
+        'rough_images': 'compressed, shaken, dark, interlaced, thermal images: right, or refused',
         'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
         'turntable': 'a fixed camera before a wall and a turntable, rendered and pasted',
         'arm': 'rendered and recorded arms, general motion against its bound',
@@ -104,7 +105,7 @@ GROUPS = {
 BENCHES = {name: what for group in GROUPS.values() for name, what in group.items()}
 #: Only when asked for by name.
 LONG = ('coverage', 'hostile_inputs', 'laps', 'lenses', 'long_recording', 'mounts', 'wide_lenses',
-        'rough_shares', 'shutter')
+        'rough_images', 'rough_shares', 'shutter')
 
 
 def main(argv: list[str] | None = None) -> int:
