@@ -25,6 +25,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+#: Images of a recording that are asked.
+IMAGES_ASKED = 3
 #: Width to which a half is reduced, and side of the patches that are looked for, pixels.
 _WIDTH, _SIDE = 256, 24
 #: Standard deviation of a patch that is worth looking for, grey levels.

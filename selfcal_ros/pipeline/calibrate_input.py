@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from selfcal_ros.pipeline.frame_source import FrameSource
 
 _LOGGER = logging.getLogger(__name__)
-#: Images that are asked whether they hold two views.
-_ASKED = 3
 
 
 @dataclass(frozen=True)
@@ -221,8 +219,8 @@ def _refuse_two_views(source: FrameSource) -> None:
     """Refuse images that hold two views, unless one half of them is asked for."""
     if source.kind == 'tracks' or source.excerpt.half is not None:
         return
-    from selfcal_ros.features.two_views import two_views
-    halves = two_views([frame.image for frame in islice(source, _ASKED)])
+    from selfcal_ros.features.two_views import IMAGES_ASKED, two_views
+    halves = two_views([frame.image for frame in islice(source, IMAGES_ASKED)])
     if halves:
         first, _, second = halves.split()
         raise InputError(f'Each image of {source.path} holds two views of one scene, {halves}, as '

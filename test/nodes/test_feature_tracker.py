@@ -17,6 +17,7 @@ import cv2
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
 import pytest
+from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
@@ -135,6 +136,26 @@ def test_an_image_that_cannot_be_read_is_dropped_and_the_next_is_used(graph):
     assert len(tracks) == count
     play(graph, publisher, image, [4])
     assert len(tracks) > count
+
+
+def test_images_that_no_camera_sees_at_once_are_told(graph):
+    """Two views beside each other, and odd rows of another instant: both are said, once each."""
+    def odd(frame):
+        pixels = np.hstack([wall(frame), wall(frame + 6)])
+        pixels[1::2] = np.hstack([wall(frame + 3), wall(frame + 9)])[1::2]
+        msg = Image(height=240, width=640, encoding='mono8', step=640)
+        msg.data.frombytes(pixels.tobytes())
+        return stamped(msg, frame, None)
+
+    graph = graph()
+    graph.add(FeatureTrackerNode())
+    said = graph.listen(Log, '/rosout')
+    publisher = graph.probe.create_publisher(Image, 'image', 5)
+    _, tracks = play(graph, publisher, odd, range(5))
+    graph.wait_for(lambda: sum(one.level == 30 for one in said) >= 2, what='warnings')
+    for text in ('holds two views of one scene, left and right', 'interlaced'):
+        assert sum(text in one.msg for one in said) == 1
+    assert len(tracks_from_message(tracks[-1]).track) > 20
 
 
 def test_no_point_is_followed_behind_a_mask_which_may_change(graph, tmp_path):
