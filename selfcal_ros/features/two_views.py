@@ -25,8 +25,9 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-#: Images of a recording that are asked.
-IMAGES_ASKED = 3
+#: Images of a recording that are asked, and how many lie from one to the next: an edge that
+#: happens to be in the middle moves on.
+IMAGES_ASKED, IMAGES_APART = 3, 10
 #: Width to which a half is reduced, and side of the patches that are looked for, pixels.
 _WIDTH, _SIDE = 256, 24
 #: Standard deviation of a patch that is worth looking for, grey levels.
@@ -62,6 +63,29 @@ def two_views(images: Sequence[np.ndarray]) -> str | None:
     if images and all(map(_beside_each_other, images)):
         return 'left and right'
     return 'top and bottom' if images and all(map(_above_each_other, images)) else None
+
+
+class TwoViewsWatch:
+    """Asks some of the first images of a stream whether they hold two views."""
+
+    def __init__(self) -> None:
+        """Start before the first image."""
+        self._asked: list[np.ndarray] = []
+        self._count = 0
+
+    def see(self, image: np.ndarray) -> str | None:
+        """Take the next image; returns what `two_views` does, once, where there are two."""
+        if len(self._asked) == IMAGES_ASKED:
+            return None
+        if self._count % IMAGES_APART == 0:
+            self._asked.append(image)
+        self._count += 1
+        if len(self._asked) < IMAGES_ASKED:
+            return None
+        halves = two_views(self._asked)
+        # their count still tells that they were asked
+        self._asked = [image[:0]] * IMAGES_ASKED
+        return halves
 
 
 def _beside_each_other(image: np.ndarray) -> bool:

@@ -33,7 +33,7 @@ from selfcal_ros.features.image_circle import CircleWatch
 from selfcal_ros.features.interlaced import is_interlaced, of_even_rows
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.features.mask import ImageMask, read_mask
-from selfcal_ros.features.two_views import IMAGES_ASKED, two_views
+from selfcal_ros.features.two_views import TwoViewsWatch
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
@@ -84,7 +84,7 @@ class FeatureTrackerNode(Node):
         self._tracker = KltTracker(most=self.parameters.max_features)
         self._mask = _mask_of(self.parameters)
         self._circle = CircleWatch(every=5)
-        self._first: list[np.ndarray] | None = []
+        self._views = TwoViewsWatch()
         self._drawing = TracksOverlay()
         self._newest_ns: int | None = None
         self._size: tuple[int, int] | None = None
@@ -234,24 +234,15 @@ class FeatureTrackerNode(Node):
         """Follow points within the mask and the circle of the image; InputError if they differ."""
         if self._mask is not None:
             self._mask.check(grey.shape)
-        self._ask_for_two_views(grey)
-        finding = self._circle.see(grey)
-        if finding is not None:
-            self.get_logger().info(finding.sentence)
-        self._tracker.mask = self._circle.narrowed(self._mask)
-
-    def _ask_for_two_views(self, grey: np.ndarray) -> None:
-        """Warn, once, if the first images hold two views each: no camera sees so."""
-        if self._first is None:
-            return
-        self._first.append(grey)
-        if len(self._first) < IMAGES_ASKED:
-            return
-        halves, self._first = two_views(self._first), None
+        halves = self._views.see(grey)
         if halves:
             self.get_logger().warning(
                 f'each image holds two views of one scene, {halves}, as of a stereo camera: crop '
                 'one of them, with the node crop_decimate of image_proc')
+        finding = self._circle.see(grey)
+        if finding is not None:
+            self.get_logger().info(finding.sentence)
+        self._tracker.mask = self._circle.narrowed(self._mask)
 
     def _is_in_order(self, stamp: int, size: tuple[int, int]) -> bool:
         """Tell whether an image is newer than the last; begin anew where another stream begins."""

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import islice
 import logging
 from pathlib import Path
 import sys
@@ -219,8 +218,10 @@ def _refuse_two_views(source: FrameSource) -> None:
     """Refuse images that hold two views, unless one half of them is asked for."""
     if source.kind == 'tracks' or source.excerpt.half is not None:
         return
-    from selfcal_ros.features.two_views import IMAGES_ASKED, two_views
-    halves = two_views([frame.image for frame in islice(source, IMAGES_ASKED)])
+    from selfcal_ros.features.two_views import IMAGES_APART, IMAGES_ASKED, two_views
+    begin, apart = next(iter(source)).index, IMAGES_APART * source.excerpt.every
+    halves = two_views([frame.image for frame in source.only(
+        begin + apart * number for number in range(IMAGES_ASKED))])
     if halves:
         first, _, second = halves.split()
         raise InputError(f'Each image of {source.path} holds two views of one scene, {halves}, as '

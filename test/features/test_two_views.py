@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.features.two_views import two_views
+from selfcal_ros.features.two_views import IMAGES_APART, IMAGES_ASKED, two_views, TwoViewsWatch
 
 
 def texture(seed, size=(240, 420), scale=6):
@@ -64,6 +64,15 @@ def test_two_views_beside_or_above_each_other_are_told(seed):
     cv2.rectangle(texture(6, (240, 640)).astype(np.uint8), (316, 0), (324, 240), 0, -1)])
 def test_one_view_is_not_taken_for_two(image):
     assert two_views([image]) is None and two_views([]) is None
+
+
+def test_a_stream_is_told_once_after_its_first_images():
+    watch = TwoViewsWatch()
+    told = [watch.see(np.hstack(stereo(k % 4))) for k in range(4 * IMAGES_APART)]
+    assert [k for k, one in enumerate(told) if one] == [(IMAGES_ASKED - 1) * IMAGES_APART]
+    # an edge in the middle that moves on
+    watch = TwoViewsWatch()
+    assert not any(watch.see(np.hstack(stereo(1)) if k < 5 else bricks(40)) for k in range(30))
 
 
 def test_a_recorded_pair_is_told_and_recorded_views_are_not():
