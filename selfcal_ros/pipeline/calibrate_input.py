@@ -182,7 +182,7 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
         target = parse_target(settings.known_object)
         with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                          ) as source:
-            _refuse_two_views(source)
+            _refuse_what_no_camera_sees(source)
         reading = read_object_views(path, target, **shared)
         _tell(progress)
         return _timed(lambda: calibrate_known_object(
@@ -198,7 +198,7 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
     with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                      ) as source:
         source.leaves_out_damaged = source.deinterlaces = True
-        _refuse_two_views(source)
+        _refuse_what_no_camera_sees(source)
         if settings.long is not None and settings.long.concern(source, settings):
             from selfcal_ros.pipeline.long_recording import calibrate_long
             found = calibrate_long(source, settings, settings.long, mask, progress)
@@ -214,14 +214,20 @@ def _calibrated(path: str | Path, settings: CalibrationSettings, progress: Progr
         rng=generator(settings.seed)), reading), reading
 
 
-def _refuse_two_views(source: FrameSource) -> None:
-    """Refuse images that hold two views, unless one half of them is asked for."""
-    if source.kind == 'tracks' or source.excerpt.half is not None:
+def _refuse_what_no_camera_sees(source: FrameSource) -> None:
+    """Refuse panoramas, and images that hold two views unless one half of them is asked for."""
+    if source.kind == 'tracks':
         return
+    from selfcal_ros.features.panorama import are_panoramas
     from selfcal_ros.features.two_views import IMAGES_APART, IMAGES_ASKED, two_views
     begin, apart = next(iter(source)).index, IMAGES_APART * source.excerpt.every
-    halves = two_views([frame.image for frame in source.only(
-        begin + apart * number for number in range(IMAGES_ASKED))])
+    images = [frame.image for frame in source.only(
+        begin + apart * number for number in range(IMAGES_ASKED))]
+    if are_panoramas(images):
+        raise InputError(f'The images of {source.path} are panoramas, whose left and right edges '
+                         'meet, and no camera matrix describes them; give the images of the '
+                         'lenses, or views cut out of the panorama.')
+    halves = two_views(images) if source.excerpt.half is None else None
     if halves:
         first, _, second = halves.split()
         raise InputError(f'Each image of {source.path} holds two views of one scene, {halves}, as '
