@@ -162,7 +162,8 @@ def _of_bag(path: str, words: list[str]) -> list[RigInput]:
             raise ArgumentError(f'{path} does not exist, so it is no bag and holds no folder for '
                                 'each camera of --cameras; check the path.')
         raise ArgumentError(f'{path} is no bag, and holds no folder for each camera of '
-                            '--cameras: give one INPUT for each.')
+                            '--cameras: give one INPUT for each, or left,right or top,bottom '
+                            'for the halves of each image.')
     topics = image_topics(Path(path))
     found = []
     for word in words:
