@@ -18,11 +18,12 @@ from __future__ import annotations
 from collections.abc import Container
 from dataclasses import dataclass, replace
 import math
-from typing import get_args, Literal
-
-import numpy as np
+from typing import get_args, Literal, TYPE_CHECKING
 
 from selfcal_ros.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 #: Halves of an image that may be the image of a camera of its own.
 Half = Literal['left', 'right', 'top', 'bottom']

@@ -64,7 +64,7 @@ def test_even_rows_stay_and_the_others_lie_between(rows):
 
 def test_a_drive_of_an_interlaced_camera_is_calibrated(tmp_path):
     """With the odd rows, too, such drives were up to 6 sigmas off, or refused."""
-    drive = agv_drive(28, distortion=(-0.1, 0.02, 0, 0, 0), noise_sigma=0.0, seed=7)
+    drive = agv_drive(28, (320, 240), distortion=(-0.1, 0.02, 0, 0, 0), noise_sigma=0.0, seed=7)
     renderer, rng = drive.renderer(2), np.random.default_rng(0)
     for index in range(0, len(drive), 2):
         fields = [renderer.intensity(drive.cam_from_world[k]) for k in (index, index + 1)]
