@@ -35,6 +35,13 @@ def texture(rng, size=1024):
     return np.clip(128 + 40 * image, 0, 255).astype(np.float32)
 
 
+def smooth_texture(seed, size, scale):
+    """Return noise whose grains are of about `scale` pixels, (H, W), 0 to 255."""
+    coarse = np.random.default_rng(seed).uniform(
+        0, 255, (size[0] // scale + 1, size[1] // scale + 1)).astype(np.float32)
+    return cv2.resize(coarse, size[::-1], interpolation=cv2.INTER_CUBIC).clip(0, 255)
+
+
 def chessboard(square=26, size=1040):
     """Return a chessboard, uint8."""
     at = np.arange(size) // square

@@ -24,14 +24,10 @@ from functools import partial
 
 import cv2
 import numpy as np
+from selfcal_ros.synthetic.render import quantise
 
 #: Rows of black above and below a letterboxed image.
 BORDER = 60
-
-
-def digitised(image: np.ndarray, rng, noise: float = 1.0) -> np.ndarray:
-    """Add noise of the sensor, and round to grey levels."""
-    return (image + rng.normal(0, noise, image.shape)).clip(0, 255).round().astype(np.uint8)
 
 
 def as_they_are(images, rng):
@@ -47,7 +43,7 @@ def compressed(images, rng, quality):
 
 def noisy(images, rng, sigma):
     """Add noise of a high gain."""
-    return [digitised(one, rng, sigma) for one in images]
+    return [quantise(one, rng, sigma) for one in images]
 
 
 def shaken(images, rng, longest_px):
@@ -67,7 +63,7 @@ def shaken(images, rng, longest_px):
 
 def flickering(images, rng):
     """Change exposure and gamma from image to image."""
-    return [digitised(255 * (one / 255)**rng.uniform(0.6, 1.6) * rng.uniform(0.6, 1.5), rng, 0.5)
+    return [quantise(255 * (one / 255)**rng.uniform(0.6, 1.6) * rng.uniform(0.6, 1.5), rng, 0.5)
             for one in images]
 
 
@@ -97,7 +93,7 @@ def demosaiced(images, rng):
     gain[::2, ::2], gain[1::2, 1::2] = 0.7, 0.8
     shown = []
     for one in images:
-        colour = cv2.cvtColor(digitised(one * gain, rng), cv2.COLOR_BayerBG2BGR).astype(float)
+        colour = cv2.cvtColor(quantise(one * gain, rng, 1.0), cv2.COLOR_BayerBG2BGR).astype(float)
         colour /= [0.8, 1, 0.7]
         shown.append(cv2.cvtColor(colour.clip(0, 255).astype(np.uint8), cv2.COLOR_BGR2GRAY))
     return shown
@@ -112,7 +108,7 @@ def by_a_lamp(images, rng):
     """Light the scene by a lamp on the robot, at night."""
     y, x = np.mgrid[:images[0].shape[0], :images[0].shape[1]]
     light = np.exp(-((x - 320)**2 + (y - 330)**2) / (2 * 150**2))
-    return [digitised(one * light, rng, 3.0) for one in images]
+    return [quantise(one * light, rng, 3.0) for one in images]
 
 
 def thermal(images, rng):
@@ -141,7 +137,7 @@ def with_body(images, rng):
                          images[0].shape[::-1], interpolation=cv2.INTER_NEAREST)
     hidden = np.zeros(images[0].shape, np.uint8)
     cv2.fillPoly(hidden, [np.array([[60, 480], [130, 372], [510, 366], [590, 480]])], 1)
-    return [digitised(np.where(hidden, texture, one), rng) for one in images]
+    return [quantise(np.where(hidden, texture, one), rng, 1.0) for one in images]
 
 
 def with_display(images, rng):
@@ -177,7 +173,7 @@ def with_person(images, rng):
         first, last = max(at, 0), min(at + 130, one.shape[1])
         if last > first:
             one[120:450, first:last] = texture[:, first - at:last - at]
-        shown.append(digitised(one, rng))
+        shown.append(quantise(one, rng, 1.0))
     return shown
 
 

@@ -22,6 +22,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from selfcal_ros.features.first_images import FirstImages
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.findings.finding import Finding
 
@@ -137,9 +138,7 @@ class CircleWatch:
     """
 
     def __init__(self, images: int = 6, every: int = 1):
-        self._wanted, self._every, self._count = images, every, 0
-        self._seen: list[np.ndarray] = []
-        self._shape: tuple[int, ...] = ()
+        self._first = FirstImages(images, every)
         self._circle: ImageMask | None = None
         self._narrowed: tuple[ImageMask | None, ImageMask | None, ImageMask | None] = (
             None, None, None)
@@ -154,17 +153,10 @@ class CircleWatch:
             The circle, with the image in which it is found; None with every other.
 
         """
-        if image.shape != self._shape:
-            self._shape, self._seen, self._circle, self._count = image.shape, [], None, 0
-        self._count += 1
-        if len(self._seen) >= self._wanted or (self._count - 1) % self._every:
-            return None
-        self._seen.append(image)
-        if len(self._seen) < self._wanted:
-            return None
-        circle = find_circle(self._seen)
-        # their count still tells that they have been seen
-        self._seen = [image[:0]] * self._wanted
+        if image.shape != self._first.shape:
+            self._circle = None
+        images = self._first.take(image)
+        circle = find_circle(images) if images else None
         if circle is None:
             return None
         self._circle = circle.mask((image.shape[1], image.shape[0]))

@@ -25,6 +25,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from selfcal_ros.features.first_images import FirstImages
+
 #: Images of a recording that are asked, and how many lie from one to the next: an edge that
 #: happens to be in the middle moves on.
 IMAGES_ASKED, IMAGES_APART = 3, 10
@@ -70,22 +72,11 @@ class TwoViewsWatch:
 
     def __init__(self) -> None:
         """Start before the first image."""
-        self._asked: list[np.ndarray] = []
-        self._count = 0
+        self._first = FirstImages(IMAGES_ASKED, IMAGES_APART)
 
     def see(self, image: np.ndarray) -> str | None:
         """Take the next image; returns what `two_views` does, once, where there are two."""
-        if len(self._asked) == IMAGES_ASKED:
-            return None
-        if self._count % IMAGES_APART == 0:
-            self._asked.append(image)
-        self._count += 1
-        if len(self._asked) < IMAGES_ASKED:
-            return None
-        halves = two_views(self._asked)
-        # their count still tells that they were asked
-        self._asked = [image[:0]] * IMAGES_ASKED
-        return halves
+        return two_views(self._first.take(image))
 
 
 def _beside_each_other(image: np.ndarray) -> bool:

@@ -220,9 +220,9 @@ def _refuse_what_no_camera_sees(source: FrameSource) -> None:
         return
     from selfcal_ros.features.panorama import are_panoramas
     from selfcal_ros.features.two_views import IMAGES_APART, IMAGES_ASKED, two_views
-    begin, apart = next(iter(source)).index, IMAGES_APART * source.excerpt.every
-    images = [frame.image for frame in source.only(
-        begin + apart * number for number in range(IMAGES_ASKED))]
+    begin, apart = next(iter(source)), IMAGES_APART * source.excerpt.every
+    images = [begin.image, *(frame.image for frame in source.only(
+        begin.index + apart * number for number in range(1, IMAGES_ASKED)))]
     if are_panoramas(images):
         raise InputError(f'The images of {source.path} are panoramas, whose left and right edges '
                          'meet, and no camera matrix describes them; give the images of the '

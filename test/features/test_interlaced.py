@@ -21,13 +21,12 @@ from selfcal_ros.features.interlaced import is_interlaced, of_even_rows
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.synthetic.recordings import agv_drive
+from test_support.feature_scenes import smooth_texture
 
 
-def texture(seed, scale=5):
+def texture(seed):
     """Draw smooth texture, uint8 (240, 320)."""
-    coarse = np.random.default_rng(seed).uniform(0, 255, (240 // scale, 320 // scale))
-    return cv2.resize(coarse, (320, 240), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(
-        np.uint8)
+    return smooth_texture(seed, (240, 320), 5).astype(np.uint8)
 
 
 def combed(image, step):

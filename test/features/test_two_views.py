@@ -19,13 +19,12 @@ import cv2
 import numpy as np
 import pytest
 from selfcal_ros.features.two_views import IMAGES_APART, IMAGES_ASKED, two_views, TwoViewsWatch
+from test_support.feature_scenes import smooth_texture
 
 
-def texture(seed, size=(240, 420), scale=6):
-    """Draw smooth texture, uint8 (H, W)."""
-    rng = np.random.default_rng(seed)
-    coarse = rng.uniform(0, 255, (size[0] // scale + 1, size[1] // scale + 1)).astype(np.float32)
-    return cv2.resize(coarse, size[::-1], interpolation=cv2.INTER_CUBIC).clip(0, 255)
+def texture(seed, size=(240, 420)):
+    """Draw smooth texture, (H, W)."""
+    return smooth_texture(seed, size, 6)
 
 
 def stereo(seed, shift=24, noise=4.0, brightness=1.1):
