@@ -255,7 +255,9 @@ def days() -> dict[str, Day]:
 
     turning = {'base': 'fn', 'mkpath': turns}
     return {
-        **{f'stabilised by {s} px': Day(stabilised(s)) for s in (0.5, 1.5)},
+        **{f'stabilised by {s} px': Day(stabilised(s)) for s in (0.5, 1.5, 5.0)},
+        'stabilised by 3 px, read in 20 ms': Day(stabilised(3.0), rolling),
+        'only turns, stabilised by 3 px': Day(stabilised(3.0), turning),
         'whole pixels': Day(rounded(1.0)), 'half pixels': Day(rounded(0.5)),
         'levels of a pyramid': Day(of_levels),
         '10 % mistaken': Day(mistaken(0.1)), '30 % mistaken': Day(mistaken(0.3)),

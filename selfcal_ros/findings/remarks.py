@@ -206,6 +206,13 @@ REMARKS: dict[str, Phrase] = {
         'A rolling shutter explains the residuals. Views so far apart in time do not tell how the '
         'camera moved while one was read. The sigmas allow for any such motion.',
         'Give more images a second, or the whole video; or move slowly.'),
+    'images_shifted': Phrase(
+        'Every image was shifted by itself, by {shift_px:.2g} px (root mean square), as by a '
+        'stabiliser.',
+        'The principal point differs from image to image. What is given is the mean, and its '
+        'sigma holds what one image is off by.',
+        'Switch the stabilisation off, and record again. See [Stabilised '
+        'cameras](stabilised.md).'),
     'line_delay_open': Phrase(
         'The images do not determine how fast the {lines} are read: the whole image in '
         '{readout:measured} intervals between frames.',

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.view_effects import ViewEffects
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 
 
@@ -42,6 +43,8 @@ class MotionModel:
         pan-tilt head: all views share one translation, from that point to the camera.
     zoom : ZoomModel, optional
         How the focal length varies; None: it is constant.
+    shift : ViewEffects, optional
+        How far images are shifted, each by itself (`image_shift`); None: they are not.
 
     """
 
@@ -51,12 +54,17 @@ class MotionModel:
     fixed_centre: bool = False
     fixed_pivot: bool = False
     zoom: ZoomModel | None = None
+    shift: ViewEffects | None = None
 
     def of_views(self, views: np.ndarray) -> MotionModel:
         """Return the model for some of the views, which become 0, 1, 2, ..."""
         place = {int(view): k for k, view in enumerate(views)}
         return replace(self, parallel=tuple(place[v] for v in self.parallel if v in place),
                        zoom=self.zoom and self.zoom.of_views(views))
+
+    def with_images_of(self, other: MotionModel) -> MotionModel:
+        """Return this motion of a camera whose images vary as those of another model."""
+        return replace(self, zoom=other.zoom, shift=other.shift)
 
     @property
     def keeps_plane(self) -> bool:

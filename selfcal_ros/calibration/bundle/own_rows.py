@@ -17,8 +17,8 @@ Motion of each view while its rows are read, where no other view tells of it.
 Photographs, and the few images of a drive, are far apart in time. Their poses do not tell how the
 camera moved while one of them was read. So each has six unknowns of its own: how far it turns and
 moves from the first row to the last, as shares of what is usual between two views. They are
-Gaussian, of one standard deviation, which the images tell. So is their mean over the views. It
-need not be zero: who looks once a step at a walk sees the same part of a step each time.
+Gaussian about a mean that need not be zero (`ViewEffects`): who looks once a step at a walk sees
+the same part of a step each time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
+from selfcal_ros.calibration.bundle.view_effects import ViewEffects
 
 #: Unknowns of each view: turn and move while the whole image is read, before the mount.
 ROW_NAMES = ('row_turn_x', 'row_turn_y', 'row_turn_z', 'row_x', 'row_y', 'row_z')
@@ -41,7 +41,7 @@ class OwnRows:
     Attributes
     ----------
     sigma : float
-        Standard deviation of the unknowns about their mean over the views, and of that mean.
+        Of `ViewEffects`.
     motion : ndarray, shape (V, 6)
         The values that displacements belong to.
     slope : ndarray, shape (N, 2, 6)
@@ -61,6 +61,11 @@ class OwnRows:
         """Return what is supposed, of no observations yet."""
         return cls(sigma, np.zeros((0, len(ROW_NAMES))), np.zeros((0, 2, len(ROW_NAMES))), near)
 
+    @property
+    def effects(self) -> ViewEffects:
+        """What is supposed of the unknowns."""
+        return ViewEffects(ROW_NAMES, self.sigma)
+
     def of_others(self, count: int, views: int) -> OwnRows:
         """Return no motion of so many views, and no effect on so many observations."""
         return replace(self, motion=np.zeros((views, len(ROW_NAMES))),
@@ -75,36 +80,3 @@ class OwnRows:
         apart = -self.motion if motion is None else motion - self.motion[:len(motion)]
         displaced: np.ndarray = np.einsum('nik,nk->ni', self.slope, apart[view])
         return displaced
-
-    def extend(self, unknowns: Unknowns) -> Unknowns:
-        """Add the unknowns of the block."""
-        return unknowns.extended(of_view=ROW_NAMES)
-
-    def add_prior(self, terms: PriorTerms, motion: np.ndarray | None,
-                  unknowns: Unknowns) -> PriorTerms:
-        """Add what is supposed of the unknowns to cost, gradient (n,) and diagonal (n,)."""
-        cost, gradient, diagonal = terms
-        places, matrix = unknowns.of_views(*ROW_NAMES), self.information(unknowns.views)
-        diagonal[places] += matrix[0, 0]
-        if motion is not None:
-            own = motion[:unknowns.views]
-            slope = matrix @ own
-            cost += 0.5 * float(np.sum(own * slope))
-            gradient[places] += slope
-        return cost, gradient, diagonal
-
-    def information(self, views: int) -> np.ndarray:
-        """Return what is supposed of one unknown of every view: inverse covariance (V, V)."""
-        return without_mean(views) / self.sigma**2
-
-    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
-        """Return what that adds beside the diagonal: places (k,), and matrix (k, k)."""
-        matrix = self.information(unknowns.views)
-        beside = np.kron(matrix - np.diag(np.diag(matrix)), np.eye(len(ROW_NAMES)))
-        return unknowns.of_views(*ROW_NAMES).ravel(), beside
-
-
-def without_mean(views: int) -> np.ndarray:
-    """Return the inverse (V, V) of the covariance of values about a mean that is as uncertain."""
-    inverse: np.ndarray = np.eye(views) - 1 / (1 + views)
-    return inverse

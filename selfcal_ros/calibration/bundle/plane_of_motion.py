@@ -73,7 +73,7 @@ def choose_motion(relaxed: RobustFit, variance_inflation: float = 1.0) -> tuple[
         # decided before, on other tracks of the same recording
         return relaxed, True
     flat = replace(relaxed.state, path=relaxed.state.path.flat())
-    exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
+    exact = refit(relaxed, PLANAR.with_images_of(relaxed.motion), flat)
     freedom = 3 * len(flat.path) - 1
     excess = 2 * (exact.cost - relaxed.cost) / variance_inflation
     if is_chance(excess, freedom):

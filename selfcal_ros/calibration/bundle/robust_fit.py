@@ -286,7 +286,7 @@ def with_all_directions(state: SceneState, observations: Observations) -> SceneS
 
 def _directions(state: SceneState, observations: Observations) -> np.ndarray | None:
     """Return the directions of all observations in the world (N, 3); None if one has none."""
-    rays = all_rays(state.camera(), state.unzoomed(observations.xy, observations.view))
+    rays = all_rays(state.camera(), state.steadied(observations.xy, observations.view))
     if not np.isfinite(rays).all():
         return None
     directions: np.ndarray = np.einsum(

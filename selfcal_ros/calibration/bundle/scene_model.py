@@ -22,15 +22,17 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from selfcal_ros.calibration.bundle.image_shift import by_shift
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.motion import MotionModel
-from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES
+from selfcal_ros.calibration.bundle.own_rows import OwnRows
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge, SHARED_NAMES)
 from selfcal_ros.calibration.bundle.shutter import (LINE_DELAY, RowShifts, with_line_delay,
                                                     with_stated_delay)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
+from selfcal_ros.calibration.bundle.view_effects import ViewEffects
 from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, projection, RATE_NAME,
                                                  VIEW_NAME, walk_count, with_walk, with_zoom, Zoom)
 from selfcal_ros.geometry.projective import lengths
@@ -91,6 +93,12 @@ class SceneModel:
         return None if self.shutter is None else self.shutter.own
 
     @property
+    def _effects(self) -> list[ViewEffects]:
+        """What is supposed of what every view has of its own."""
+        of_rows = None if self.own_rows is None else self.own_rows.effects
+        return [one for one in (of_rows, self.motion.shift) if one is not None]
+
+    @property
     def eliminated_freedom(self) -> int:
         """Count what of a point the images could determine: of a direction, two."""
         return 2 if self.motion.fixed_centre else 3
@@ -105,6 +113,8 @@ class SceneModel:
         unknowns = path_unknowns(self.motion, views, lens_names)
         if self.shutter is not None:
             unknowns = with_line_delay(unknowns, self.shutter)
+        if self.motion.shift is not None:
+            unknowns = self.motion.shift.extend(unknowns)
         return unknowns if self.motion.zoom is None else with_zoom(unknowns, self.motion.zoom)
 
     def predict(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
@@ -140,6 +150,8 @@ class SceneModel:
         own = path.by_views(J, seen.turned, seen.Y[:, 3:], view, planar)
         if self.own_rows is not None:
             own = np.concatenate([own, self.own_rows.slope], axis=2)
+        if self.motion.shift is not None:
+            own = np.concatenate([own, by_shift(len(own))], axis=2)
         if self.motion.zoom is not None:
             own = differentiate(seen.pixels, self.motion.zoom, view, shared, own)
         return Linearisation(seen.residual, seen.ahead, shared, own,
@@ -168,6 +180,8 @@ class SceneModel:
         residual = pixels.uv - xy
         if self.shutter is not None:
             residual += self.shutter.at(state, view)
+        if state.shift is not None:
+            residual += state.shift[view]
         return _Seen(residual, ahead, Y, placing, turned, placed, sign, pixels)
 
     def moved(self, state: SceneState, step: np.ndarray, steps: np.ndarray,
@@ -181,15 +195,15 @@ class SceneModel:
             delay += float(step[unknowns.places((LINE_DELAY,))[0]])
         return SceneState(state.lens.moved(step[unknowns.lens]), path, points,
                           self._zoomed(state, step, unknowns), delay,
-                          self._moved_rows(state, step, unknowns))
+                          *(values if effects is None else effects.moved(values, step, unknowns)
+                            for effects, values in self._by_view(state)))
 
-    def _moved_rows(self, state: SceneState, step: np.ndarray,
-                    unknowns: Unknowns) -> np.ndarray | None:
-        """Return each view's own motion after a step (n,)."""
-        if self.own_rows is None:
-            return state.row_motion
-        more: np.ndarray = step[unknowns.of_views(*ROW_NAMES)]
-        return more if state.row_motion is None else state.row_motion + more
+    def _by_view(self, state: SceneState,
+                 ) -> list[tuple[ViewEffects | None, np.ndarray | None]]:
+        """Return what every view has of its own: what is supposed of it, and its values."""
+        rows = self.own_rows
+        return [(None if rows is None else rows.effects, state.row_motion),
+                (self.motion.shift, state.shift)]
 
     def _zoomed(self, state: SceneState, step: np.ndarray, unknowns: Unknowns) -> Zoom | None:
         """Return the zoom after a step (n,)."""
@@ -216,9 +230,9 @@ class SceneModel:
                 step[unknowns.of_views(VIEW_NAME)[:, 0]] = change
         if self.shutter is not None:
             step[unknowns.places((LINE_DELAY,))] = other.line_delay - state.line_delay
-        if self.own_rows is not None and other.row_motion is not None:
-            step[unknowns.of_views(*ROW_NAMES)] = other.row_motion - (
-                0 if state.row_motion is None else state.row_motion)
+        for (effects, here), (_, there) in zip(self._by_view(state), self._by_view(other)):
+            if effects is not None:
+                effects.set_step(step, unknowns, there, here)
         return step
 
     def prior_terms(self, state: SceneState, unknowns: Unknowns) -> PriorTerms:
@@ -226,26 +240,26 @@ class SceneModel:
         terms = path_prior(state.path, self.motion, unknowns)
         if self.shutter is not None:
             terms = with_stated_delay(terms, state.line_delay, self.shutter, unknowns)
-        if self.own_rows is not None:
-            terms = self.own_rows.add_prior(terms, state.row_motion, unknowns)
+        for effects, values in self._by_view(state):
+            if effects is not None:
+                terms = effects.add_prior(terms, values, unknowns)
         return with_walk(terms, state.zoom, self.motion.zoom, unknowns)
 
     def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return what the priors add beside the diagonal: places (k,), and matrix (k, k)."""
-        of_zoom = couplings(self.motion.zoom, unknowns)
-        if self.own_rows is None:
-            return of_zoom
-        of_rows = self.own_rows.couplings(unknowns)
-        if of_zoom is None:
-            return of_rows
-        return (np.concatenate([of_zoom[0], of_rows[0]]), block_diag(of_zoom[1], of_rows[1]))
+        added = [couplings(self.motion.zoom, unknowns),
+                 *(effects.couplings(unknowns) for effects in self._effects)]
+        some = [one for one in added if one is not None]
+        if len(some) < 2:
+            return some[0] if some else None
+        return np.concatenate([places for places, _ in some]), block_diag(
+            *(matrix for _, matrix in some))
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
         stated = self.shutter is not None and self.shutter.is_soft
-        of_rows = 0 if self.own_rows is None else len(ROW_NAMES) * views
         return (path_prior_count(self.motion, views) + walk_count(self.motion.zoom) + stated
-                + of_rows)
+                + sum(effects.count(views) for effects in self._effects))
 
     def gauge(self, state: SceneState, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that scales the world; a camera that turns has no scale."""

@@ -115,7 +115,7 @@ def with_line_delay(unknowns: Unknowns, shifts: RowShifts) -> Unknowns:
     """Add the unknown of the block to those of lens and path."""
     unknowns = unknowns.extended(shared=(LINE_DELAY,))
     unknowns.free[unknowns.places((LINE_DELAY,))] = not shifts.is_held
-    return unknowns if shifts.own is None else shifts.own.extend(unknowns)
+    return unknowns if shifts.own is None else shifts.own.effects.extend(unknowns)
 
 
 def with_stated_delay(terms: PriorTerms, line_delay: float, shifts: RowShifts,

@@ -70,6 +70,8 @@ class SceneState(BundleState):
         Intervals between frames in which the whole image is read, row after row.
     row_motion : ndarray, shape (V, 6), optional
         How each view moves meanwhile beyond that; see `OwnRows`.
+    shift : ndarray, shape (V, 2), optional
+        How far each image is shifted, pixels; see `image_shift`.
 
     """
 
@@ -78,6 +80,7 @@ class SceneState(BundleState):
     zoom: Zoom | None = None
     line_delay: float = 0.0
     row_motion: np.ndarray | None = None
+    shift: np.ndarray | None = None
 
     @cached_property
     def tangents(self) -> np.ndarray:
@@ -95,7 +98,8 @@ class SceneState(BundleState):
         """Return the state of some of the views and points, by index or mask."""
         return replace(self, path=self.path.of_views(kept), points=self.points[points],
                        zoom=self.zoom and self.zoom.of_views(kept),
-                       row_motion=None if self.row_motion is None else self.row_motion[kept])
+                       row_motion=None if self.row_motion is None else self.row_motion[kept],
+                       shift=None if self.shift is None else self.shift[kept])
 
     def scaled(self, factor: float) -> SceneState:
         """Return the state in a world that is larger by a factor."""
@@ -103,8 +107,10 @@ class SceneState(BundleState):
         return replace(self, path=self.path.scaled(factor),
                        points=points / np.linalg.norm(points, axis=1, keepdims=True))
 
-    def unzoomed(self, xy: np.ndarray, view: np.ndarray) -> np.ndarray:
+    def steadied(self, xy: np.ndarray, view: np.ndarray) -> np.ndarray:
         """Return pixels (N, 2) of views (N,) as the camera of `lens` would see them."""
+        if self.shift is not None:
+            xy = xy - self.shift[view]
         return xy if self.zoom is None else self.zoom.unzoomed(xy, view, self.lens)
 
     def placed(self, blocks: PointBlocks) -> np.ndarray:
@@ -141,7 +147,7 @@ class SceneState(BundleState):
         """
         toward = (X[:, 2] if self.lens.model.is_perspective
                   else np.einsum('ni,ni->n', X, self.lens.pixel_directions(
-                      self.unzoomed(xy, blocks.view))))
+                      self.steadied(xy, blocks.view))))
         sign = np.sign(blocks.sum_over_points(np.sign(toward)))[blocks.point]
         sign[sign == 0] = 1
         return toward, sign

@@ -28,6 +28,7 @@ from selfcal_ros.calibration.estimators.contradictions import share_that_contrad
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
                                                              PathDescription, widest_turn_rad)
+from selfcal_ros.calibration.estimators.image_shift_choice import shift_findings
 from selfcal_ros.calibration.estimators.rectified import rectified_findings
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict, LENS_MODEL
@@ -237,11 +238,12 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                           found.variance_inflation)
     covariance, of_facts = verdict.widened(optimum.covariance, camera.parameter_names)
     # first, for all the rest rests on them
-    findings = (of_facts + rectified_findings(camera, stated, of_facts) + course_findings(course)
-                + found.findings)
+    findings = (of_facts + rectified_findings(camera, stated, of_facts) + shift_findings(fit)
+                + course_findings(course) + found.findings)
     known = identify(model.fit, problem.size, tuple(
         name for name, one in optimum.status.items() if one == 'estimated'))
-    if known.weakest_share > ADVISED_FRACTION:
+    # where images are shifted, no motion helps
+    if known.weakest_share > ADVISED_FRACTION and fit.motion.shift is None:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
     precision = precision_of(fit)
     shutter = readout_of(fit, found.clusters.sigma_inflation)

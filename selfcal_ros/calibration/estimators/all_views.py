@@ -71,7 +71,7 @@ def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibr
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.motion
     if motion.parallel:
-        motion = replace(problem.motion, zoom=motion.zoom)
+        motion = problem.motion.with_images_of(motion)
     motion = replace(motion, zoom=over_all(motion.zoom, problem))
     problem = replace(problem, facts=model.facts, motion=motion)
     if model.fit.observations.shutter is not None:

@@ -204,7 +204,7 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
 
     """
     fit = model.fit
-    motion = replace(GENERAL, zoom=fit.motion.zoom, parallel=fit.motion.parallel)
+    motion = replace(GENERAL.with_images_of(fit.motion), parallel=fit.motion.parallel)
     if fit.observations.shutter is not None:
         tried = fit.observations
     start = with_all_points(fit.state, tried)

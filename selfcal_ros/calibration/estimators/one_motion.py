@@ -32,6 +32,10 @@ from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
 from selfcal_ros.calibration.estimators.facts_in_the_way import preferred_by_all
+from selfcal_ros.calibration.estimators.image_shift_choice import (LEFT_AT_FIRST,
+                                                                   LEFT_AT_LAST,
+                                                                   LEFT_BESIDE_ROWS,
+                                                                   with_image_shifts)
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
@@ -150,15 +154,38 @@ class OneMotion:
         if isinstance(self._first, NoEstimate):
             return self._first
         first, left = self._first
-        shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
-        shutter = with_own_rows(shutter, self.medium, self.window.size)
+        shutter = self._shutter(first)
+        if shutter.fit.observations.shutter is not None:
+            # shifts shake the path by which rows are read in turn, and hide behind that
+            # motions of views have thrice as many unknowns: as little left says enough
+            shifted = self._by_shifts(first, shutter.fit,
+                                      1.0 if shutter.fit.observations.moves_by_view
+                                      else LEFT_BESIDE_ROWS, told_by=first)
+            if shifted is not None:
+                return shifted
         if self.window.views == self.problem.views:
             # before what moves is taken for a zoom; rows read in turn move tracks, too
             still = calibrate_still_tracks(shutter.fit, self.medium, self.problem, self.graph,
                                            with_any_focal)
             if still is not None:
-                return still
+                return self._by_shifts(first, shutter.fit) or still
         return self._from(first, shutter, left)
+
+    def _shutter(self, first: RobustFit) -> ShutterDecision:
+        """Tell how the rows are read."""
+        shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
+        return with_own_rows(shutter, self.medium, self.window.size)
+
+    def _by_shifts(self, first: RobustFit, fit: RobustFit, most: float = LEFT_AT_FIRST,
+                   told_by: RobustFit | None = None) -> Calibration | None:
+        """Calibrate images that are shifted, each by itself, if that leaves so much less."""
+        shifted = with_image_shifts(first, told_by or fit, self.medium, self.window, most)
+        if shifted is None:
+            return None
+        shutter = choose_shutter(shifted, self.medium, self.window.facts, self.window.size)
+        if shutter.fit.bundle.sigma_px > most * fit.bundle.sigma_px:
+            return None
+        return self._from(shifted, shutter, None) or None
 
     def first_focal_px(self) -> float:
         """Return the focal length of the first fit, pixels; NaN where there is none."""
@@ -237,13 +264,16 @@ class OneMotion:
         window = self.window
         fit = shutter.fit
         if left is not None and fit.observations.shutter is None:
-            return left
+            return self._by_shifts(first, fit) or left
         if self._is_out_of_plane(fit.state):
             return not_planar(out_of_plane_rad(fit.state.path))
         mixed = of_two_cameras(fit, window, self.graph)
         if mixed is not None:
             return mixed
         if contradicted(fit, window):
+            shifted = self._by_shifts(first, fit)
+            if shifted is not None:
+                return shifted
             return (parted_or_zooming(self.problem, self.graph, self.proposals, first, fit)
                     if self._may_zoom(self.problem) else NoEstimate(NOT_CONSTANT))
         if fit.motion.zoom is not None:
@@ -257,6 +287,11 @@ class OneMotion:
         if (self._turns_little(model.fit.state)
                 and leaves_plane(model, self.medium, self.problem.size)):
             return not_planar(out_of_plane_rad(model.fit.state.path))
+        # before all views are fitted: what a good lens and a good path still leave
+        shifted = self._by_shifts(first, model.fit, LEFT_BESIDE_ROWS
+                                  if model.fit.observations.shutter else LEFT_AT_LAST)
+        if shifted is not None:
+            return shifted
         return self._assessed(model, first, (*shutter.findings, *turned))
 
     def _held_parallel(self, fit: RobustFit,

@@ -14,11 +14,8 @@
 """
 Do views that are far apart in time move while their rows are read, each in its own way?
 
-What an optimum says by one linear step: derivatives by each view's own motion are appended to its
-normal equations, and everything else is eliminated. So is what all views share: a mean of the
-motion, which a lens may feign, and an aspect ratio or a skew that a fact may have wrong. The size
-of the motion is the one under which the images are most probable (type-II maximum likelihood;
-Bishop 2006, 3.5), first and after the fit.
+What an optimum says by one linear step tells the size of the motion (`view_effects_choice`), and
+the fit with that motion tells it again.
 """
 
 from __future__ import annotations
@@ -28,17 +25,15 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.clock import STENCIL
-from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES, without_mean
+from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.shutter import FAR_APART, row_shifts, RowShifts
 from selfcal_ros.calibration.estimators.shutter_choice import (by_clock, doubt_of_pace,
                                                                possible_clocks, ShutterDecision)
-from selfcal_ros.calibration.estimators.zoom_selection import zoomed_fit
-from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
-from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
-from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
-from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.calibration.estimators.view_effects_choice import (evidence_of_views,
+                                                                    left_otherwise_px)
+from selfcal_ros.calibration.uncertainty.suppositions import Supposition
 from selfcal_ros.findings.finding import Finding
 
 #: Least gain of log probability for which the motion is tried: odds of three to one.
@@ -51,8 +46,6 @@ CLEARLY_LESS = 0.97
 SURE_OF_PACE = 0.03
 #: Shares of the motion between views that are tried. The interval is longer than the readout.
 SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
-#: Degree of the polynomials that all images may be displaced by, as a lens does.
-HIGHEST_DEGREE = 4
 #: Rounds in which the size settles, and the change of its log that ends them.
 ROUNDS, SETTLED = 2, 0.2
 
@@ -87,7 +80,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     fit, (sigma, gain) = read[best], evidence[best]
     if gain <= LEAST_GAIN:
         return decision
-    found, most_px = None, CLEARLY_LESS * _left_otherwise_px(fit, gain)
+    found, most_px = None, CLEARLY_LESS * left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
     for _ in range(ROUNDS):
         moving = _moving(fit, observations, sigma)
         if moving is None or moving.bundle.sigma_px > most_px:
@@ -121,45 +114,12 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
         moves views makes those of neighbours in an image alike, so that is no argument against it.
 
     """
-    bundle, observations, lens = fit.bundle, fit.observations, fit.state.lens
-    assert observations.clock is not None
-    shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, observations.clock, own_sigma=1.0)
+    bundle, clock = fit.bundle, fit.observations.clock
+    assert clock is not None
+    shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, clock, own_sigma=1.0)
     assert shifts.own is not None
-    projected = bundle.xy + fit.linearisation.residual
-    seen = projected - lens.values[2:4]
-    free = dict(zip(lens.names, bundle.unknowns.free[bundle.unknowns.lens]))
-    none = np.zeros(len(seen))
-    shared = [Supposition(name, (name,), np.column_stack(columns)[:, :, None] / max(size))
-              for name, columns in (('aspect', (none, seen[:, 1])), ('skew', (seen[:, 1], none)))
-              if not free[name]]
-    # what a lens does beyond the simple model of the first fit differs from view to view, too
-    field = displacement_modes(projected, size, HIGHEST_DEGREE)
-    shared.append(Supposition('field', ('field',) * field.shape[2], field))
-    joint = joint_information(fit, [*shared, Supposition(
-        'rows', ROW_NAMES, shifts.own.slope, of_views=True)], 1.0)
-    # what all views share: the further unknowns before these, and the mean of these
-    rows = joint.places['rows']
-    common = np.zeros((len(joint.score), rows.min() + len(ROW_NAMES)))
-    common[np.arange(rows.min()), np.arange(rows.min())] = 1
-    common[rows, rows.min() + np.arange(len(ROW_NAMES))] = 1
-    by_common, rows = joint.information @ common, rows.ravel()
-    follows = np.linalg.lstsq(common.T @ by_common, np.column_stack(
-        [by_common[rows].T, common.T @ joint.score]), rcond=1e-9)[0]
-    own = joint.information[np.ix_(rows, rows)] - by_common[rows] @ follows[:, :-1]
-    pull = joint.score[rows] - by_common[rows] @ follows[:, -1]
-    values, vectors = np.linalg.eigh((own + own.T) / 2)
-    return most_probable_size(np.maximum(values, 0), vectors.T @ pull, SIZES)
-
-
-def _left_otherwise_px(fit: RobustFit, gain: float) -> float:
-    """Return the noise that is left without such motion, with a zoom if that gains more."""
-    assert fit.observations.clock is not None
-    instants, left_px = tuple(fit.observations.clock.times.tolist()), fit.bundle.sigma_px
-    evidence = focal_evidence(fit, instants, 1.0)
-    if evidence is None or evidence.gain < gain:
-        return left_px
-    zoomed = zoomed_fit(fit, instants)
-    return min(left_px, zoomed.bundle.noise_rms(zoomed.state))
+    return evidence_of_views(fit, size, Supposition(
+        'rows', ROW_NAMES, shifts.own.slope, of_views=True), SIZES)
 
 
 def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
@@ -182,10 +142,5 @@ def _size_after(fit: RobustFit) -> float:
     """Return the most probable size of the motion that a fit has found (MacKay 1992)."""
     shutter, motion = fit.observations.shutter, fit.state.row_motion
     assert shutter is not None and shutter.own is not None and motion is not None
-    places = fit.bundle.unknowns.of_views(*ROW_NAMES).ravel()
-    apart = without_mean(len(motion))
-    every = np.kron(apart, np.eye(len(ROW_NAMES)))
-    left = float(np.sum(every * fit.covariance[np.ix_(places, places)])) / shutter.own.sigma**2
-    measured = max(len(places) - left, 1.0)
-    found = float(np.sqrt(np.sum(motion * (apart @ motion)) / measured))
+    found = shutter.own.effects.size_after(motion, fit.covariance, fit.bundle.unknowns)
     return float(np.clip(found, SIZES[0], SIZES[-1]))

@@ -29,6 +29,7 @@ import numpy as np
 
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
     camera_from_homographies)
+from selfcal_ros.calibration.bundle.image_shift import shifts
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import MotionModel, ROTATION
 from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_from_facts,
@@ -40,14 +41,21 @@ from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEA
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            unchecked)
+from selfcal_ros.calibration.estimators.image_shift_choice import (are_shifts, LEAST_GAIN,
+                                                                   LEFT_AT_LAST,
+                                                                   LEFT_BESIDE_ROWS,
+                                                                   shift_evidence,
+                                                                   shift_findings)
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
 from selfcal_ros.calibration.estimators.rotation_start import (best_rotation_start,
                                                                RotationProblem)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
-                                                               shutter_findings, timed)
+                                                               shutter_findings,
+                                                               ShutterDecision, timed)
 from selfcal_ros.calibration.estimators.sliding_images import only_slides
 from selfcal_ros.calibration.estimators.supported_optimum import verdict_on_facts
+from selfcal_ros.calibration.estimators.view_effects_choice import left_otherwise_px
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
@@ -78,6 +86,9 @@ MIN_NOISE_PX = 1e-3
 MAX_FOCAL_FRACTION = 30.0
 #: A skew beyond this share of the focal length is no camera's.
 MAX_SKEW_FRACTION = 0.2
+#: Fewer views tell too little of shifts, and these leave no more than so many times the noise of
+#: epipolar geometry, which they do not touch.
+MIN_VIEWS_OF_SHIFTS, MAX_NOISE_OF_SHIFTS = 6, 1.1
 #: Views of a stretch that tells whether there is any hope of a rotation.
 STRETCH = 24
 #: Refusals that say that there was no rotation.
@@ -123,7 +134,36 @@ class RotationFit:
     @cached_property
     def lens(self) -> LensDecision:
         """The lens that fits best; it is looked for once, when it is asked for."""
-        return _richest_lens(self.start, self.problem, self.motion)
+        lens = _richest_lens(self.start, self.problem, self.motion)
+        return self._by_shifts(lens) or lens
+
+    def _by_shifts(self, lens: LensDecision) -> LensDecision | None:
+        """Return the lens of images that are shifted, each by itself, if these are."""
+        problem, fit = self.problem, lens.fit
+        if fit.motion.zoom is not None or len(self.frames) < MIN_VIEWS_OF_SHIFTS:
+            return None
+        if shift_evidence(fit, problem.size)[1] <= LEAST_GAIN:
+            return None
+        # neither rows read in turn nor a zoom explain as much
+        otherwise = self.decided(fit).fit
+        in_turn = otherwise.observations.shutter is not None
+        sigma_px, gain = shift_evidence(otherwise, problem.size)
+        if gain <= LEAST_GAIN:
+            return None
+        instants = tuple(self.frames.astype(float).tolist())
+        limit_px = min((LEFT_BESIDE_ROWS if in_turn else LEFT_AT_LAST)
+                       * left_otherwise_px(otherwise, instants, gain),
+                       MAX_NOISE_OF_SHIFTS * max(self.noise_px, LEAST_NOISE_PX))
+        shifted = _richest_lens(self.start, problem, replace(self.motion,
+                                                             shift=shifts(sigma_px)))
+        left_px = self.decided(shifted.fit).fit.bundle.sigma_px
+        return shifted if left_px < limit_px and are_shifts(shifted.fit) else None
+
+    def decided(self, fit: RobustFit) -> ShutterDecision:
+        """Tell how rows are read; in turn they leave more than rotations do."""
+        problem = self.problem
+        return choose_shutter(_without_gross_errors(fit, self), problem.observed, problem.facts,
+                              problem.size)
 
     @property
     def frames(self) -> np.ndarray:
@@ -258,8 +298,7 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
     lens = found.lens
     size, stated, observed = found.problem.size, found.problem.facts, found.problem.observed
-    # rows that are read in turn leave more than rotations do
-    decided = choose_shutter(_without_gross_errors(lens.fit, found), observed, stated, size)
+    decided = found.decided(lens.fit)
     fit, facts, frames = decided.fit, lens.facts, found.frames
     refusal = _refused(fit, facts, found)
     if refusal is not None:
@@ -304,7 +343,7 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), fit.observations.track,
                                       state.points, pose_precision=pose_precision(fit, False)),
         residuals=residuals, population=bundle.priors.population, focal=course, shutter=shutter,
-        findings=(*course_findings(course), *of_facts, *assessed.findings,
+        findings=(*shift_findings(fit), *course_findings(course), *of_facts, *assessed.findings,
                   *shutter_findings(shutter)))
 
 

@@ -165,7 +165,7 @@ def _with_lost_views(state: SceneState, bundle: Bundle[SceneState],
     middle = np.array([np.median(distance[observed.view == k]) for k in range(len(state.path))])
     # NaN, behind the camera: lost
     lost = ~(middle < LOST * max(bundle.noise_sigma(state), LEAST_NOISE_PX))
-    rays = all_rays(state.camera(*problem.size), state.unzoomed(observed.xy, observed.view))
+    rays = all_rays(state.camera(*problem.size), state.steadied(observed.xy, observed.view))
     if not lost.any() or not np.isfinite(rays).all():
         return state
     rotations = np.where(lost[:, None, None], np.nan, state.path.rotations())

@@ -178,7 +178,7 @@ def _off_plane_rad(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
     """How far free motion leaves every plane, where the first proposal explains more by it."""
     if problem.flat is not None or problem.pivot is not None:
         return 0.0
-    motion = replace(GENERAL, zoom=problem.motion.zoom, parallel=problem.motion.parallel)
+    motion = replace(GENERAL.with_images_of(problem.motion), parallel=problem.motion.parallel)
     free, noise_px = next(starts(replace(problem, motion=motion), proposals), (None, np.inf))
     if (free is None or not _is_plausible(free, problem.size)
             or noise_px > min(STILL_FREE * problem.noise_px, CLEARLY_LESS * planar_px)):
