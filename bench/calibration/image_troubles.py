@@ -177,6 +177,14 @@ def with_person(images, rng):
     return shown
 
 
+def stabilised(images, rng, sigma_px):
+    """Shift each image by itself."""
+    shifts = rng.normal(0, sigma_px, (len(images), 2))
+    return [cv2.warpAffine(one, np.column_stack([np.eye(2), shift]), one.shape[::-1],
+                           flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+            for one, shift in zip(images, shifts)]
+
+
 def mirrored(images, rng):
     """See by a mirror."""
     return [np.ascontiguousarray(one[:, ::-1]) for one in images]
@@ -201,7 +209,8 @@ TROUBLES: dict[str, Callable] = {
     'thermal, 16 bits': thermal, 'interlaced': interlaced, 'letterboxed': letterboxed,
     'own body in view': with_body, 'time written in': with_display,
     'drops on the lens': through_drops, 'somebody walks by': with_person,
-    'mirrored': mirrored, 'a sixth lost': partly_lost}
+    'mirrored': mirrored, 'a sixth lost': partly_lost,
+    'stabilised by 4 px': partial(stabilised, sigma_px=4.0)}
 
 
 def true_matrix(name: str, K: np.ndarray, width: int) -> np.ndarray:

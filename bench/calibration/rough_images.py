@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Images as cameras make them: compressed, shaken, dark, interlaced, thermal, with a person in view.
+Images as cameras make them: compressed, dark, interlaced, stabilised, with a person in view.
 
 Two drives and two walks are rendered, as photographs and as videos, each with a lens of its own.
 Then every trouble of `image_troubles` is done to each. From images to K, square pixels stated.

@@ -271,7 +271,8 @@ class OneMotion:
         if mixed is not None:
             return mixed
         if contradicted(fit, window):
-            shifted = self._by_shifts(first, fit)
+            # it was held against a zoom
+            shifted = self._by_shifts(first, fit, LEFT_AT_LAST)
             if shifted is not None:
                 return shifted
             return (parted_or_zooming(self.problem, self.graph, self.proposals, first, fit)
