@@ -142,14 +142,6 @@ def test_a_vehicle_that_stops_often_is_no_head():
     assert result and world.away(result) < MAX_SIGMAS
 
 
-def test_tracks_of_a_zoom_that_miss_the_last_views_are_judged():
-    """Their views were fewer than the instants of the zoom, which raised an exception."""
-    world, _ = everyday.build('stops often', 403)
-    result = world.calibrated(everyday.SQUARE)
-
-    assert not result or world.away(result) < MAX_SIGMAS
-
-
 def test_it_is_said_that_few_of_the_views_are_connected():
     """Three of ten views alone share tracks: 12 sigma off, and nothing was said."""
     world, _ = everyday.build('drone, straight down', 401)

@@ -121,7 +121,6 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
     # before, they were 16.6 px off in fx, refused, and 32 px off in cy
     sequence = far_apart(kind, seed)
     result = calibrate(sequence.tracks, facts=SQUARE)
-    blind = calibrate(sequence.tracks, facts=replace(SQUARE, shutter='global'))
     error = (result.camera.parameters - sequence.camera.parameters)[[0, 2, 3]]
 
     assert 'rows_by_view' in [finding.kind for finding in result.findings]
@@ -129,7 +128,6 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
     assert abs(error[0]) < 0.004 * 520 and result.noise_sigma_px < 0.23
     # how fast the rows are read does not follow
     assert result.shutter is None
-    assert not blind or abs(blind.camera.K[0, 0] - 520) > 2 * abs(error[0])
 
 
 def test_columns_of_upright_photographs_are_read_in_turn():
