@@ -156,8 +156,9 @@ class RotationFit:
                        MAX_NOISE_OF_SHIFTS * max(self.noise_px, LEAST_NOISE_PX))
         shifted = _richest_lens(self.start, problem, replace(self.motion,
                                                              shift=shifts(sigma_px)))
-        left_px = self.decided(shifted.fit).fit.bundle.sigma_px
-        return shifted if left_px < limit_px and are_shifts(shifted.fit) else None
+        # rows that are read in turn look like shifts until they are known to be
+        found = self.decided(shifted.fit).fit
+        return shifted if found.bundle.sigma_px < limit_px and are_shifts(found) else None
 
     def decided(self, fit: RobustFit) -> ShutterDecision:
         """Tell how rows are read; in turn they leave more than rotations do."""
