@@ -74,7 +74,7 @@ def with_image_shifts(first: RobustFit, fit: RobustFit, observations: Observatio
 
     """
     motion, instants = fit.motion, problem.instants
-    if motion.fixed_pivot or motion.zoom is not None or motion.shift is not None or not instants:
+    if motion.zoom is not None or motion.shift is not None or not instants:
         return None
     sigma_px, gain = shift_evidence(fit, problem.size)
     if gain <= LEAST_GAIN:

@@ -37,6 +37,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_CHOOSE, TO_GO_ON
+from selfcal_ros.calibration.estimators.image_shift_choice import (LEFT_AT_LAST,
+                                                                   with_image_shifts)
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 ModelDecision)
@@ -187,7 +189,10 @@ def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rotatio
     mixed = of_two_cameras(shutter.fit, window, graph)
     if mixed is not None:
         return mixed
-    if contradicted(shutter.fit, window):
+    shifted = with_image_shifts(shutter.fit, shutter.fit, medium, window, LEFT_AT_LAST)
+    if shifted is not None:
+        shutter = replace(shutter, fit=shifted)
+    elif contradicted(shutter.fit, window):
         problem, window = zooming(problem), zooming(window)
         shutter = choose_shutter(_zoomed_fit(shutter.fit, window, medium, turned), medium,
                                  window.facts, window.size)
@@ -201,9 +206,8 @@ def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rotatio
     problem = replace(problem, pivot=replace(problem.pivot,
                                              lever=fit.state.path.translation[0]))
     variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
-    zoom = fit.motion.zoom
-    still = refit(fit, replace(ROTATION, zoom=zoom), _without_lever(fit.state))
-    free = refit(fit, replace(GENERAL, zoom=zoom))
+    still = refit(fit, ROTATION.with_images_of(fit.motion), _without_lever(fit.state))
+    free = refit(fit, GENERAL.with_images_of(fit.motion))
     return problem, PivotDecision(
         model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / variance_inflation,
