@@ -25,10 +25,10 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
+from selfcal_ros.calibration.estimators.image_shift_choice import shift_findings
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
                                                              PathDescription, widest_turn_rad)
-from selfcal_ros.calibration.estimators.image_shift_choice import shift_findings
 from selfcal_ros.calibration.estimators.rectified import rectified_findings
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict, LENS_MODEL

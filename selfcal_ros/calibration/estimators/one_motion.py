@@ -156,11 +156,10 @@ class OneMotion:
         first, left = self._first
         shutter = self._shutter(first)
         if shutter.fit.observations.shutter is not None:
-            # shifts shake the path by which rows are read in turn, and hide behind that
-            # motions of views have thrice as many unknowns: as little left says enough
-            shifted = self._by_shifts(first, shutter.fit,
-                                      1.0 if shutter.fit.observations.moves_by_view
-                                      else LEFT_BESIDE_ROWS, told_by=first)
+            # shifts shake the path by which rows are read in turn; motions of each view, which
+            # have thrice as many unknowns, must leave less to be preferred
+            most = 1.0 if shutter.fit.observations.moves_by_view else LEFT_BESIDE_ROWS
+            shifted = self._by_shifts(first, shutter.fit, most, told_by=first)
             if shifted is not None:
                 return shifted
         if self.window.views == self.problem.views:
