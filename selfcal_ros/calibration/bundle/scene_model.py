@@ -93,10 +93,9 @@ class SceneModel:
         return None if self.shutter is None else self.shutter.own
 
     @property
-    def _effects(self) -> list[ViewEffects]:
-        """What is supposed of what every view has of its own."""
-        of_rows = None if self.own_rows is None else self.own_rows.effects
-        return [one for one in (of_rows, self.motion.shift) if one is not None]
+    def _effects(self) -> tuple[ViewEffects | None, ViewEffects | None]:
+        """What is supposed of what every view has of its own: motion of its rows, and shift."""
+        return None if self.own_rows is None else self.own_rows.effects, self.motion.shift
 
     @property
     def eliminated_freedom(self) -> int:
@@ -201,9 +200,7 @@ class SceneModel:
     def _by_view(self, state: SceneState,
                  ) -> list[tuple[ViewEffects | None, np.ndarray | None]]:
         """Return what every view has of its own: what is supposed of it, and its values."""
-        rows = self.own_rows
-        return [(None if rows is None else rows.effects, state.row_motion),
-                (self.motion.shift, state.shift)]
+        return list(zip(self._effects, (state.row_motion, state.shift)))
 
     def _zoomed(self, state: SceneState, step: np.ndarray, unknowns: Unknowns) -> Zoom | None:
         """Return the zoom after a step (n,)."""
@@ -248,7 +245,7 @@ class SceneModel:
     def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return what the priors add beside the diagonal: places (k,), and matrix (k, k)."""
         added = [couplings(self.motion.zoom, unknowns),
-                 *(effects.couplings(unknowns) for effects in self._effects)]
+                 *(one.couplings(unknowns) for one in self._effects if one is not None)]
         some = [one for one in added if one is not None]
         if len(some) < 2:
             return some[0] if some else None
@@ -259,7 +256,7 @@ class SceneModel:
         """Count the measurements that `prior_terms` stands for."""
         stated = self.shutter is not None and self.shutter.is_soft
         return (path_prior_count(self.motion, views) + walk_count(self.motion.zoom) + stated
-                + sum(effects.count(views) for effects in self._effects))
+                + sum(one.count(views) for one in self._effects if one is not None))
 
     def gauge(self, state: SceneState, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that scales the world; a camera that turns has no scale."""

@@ -70,7 +70,7 @@ def with_image_shifts(first: RobustFit, fit: RobustFit, observations: Observatio
     Returns
     -------
     RobustFit or None
-        None where images are not shifted, or a path cannot tell.
+        None where images are not shifted, or zoom.
 
     """
     motion, instants = fit.motion, problem.instants
