@@ -30,6 +30,8 @@ from selfcal_ros.geometry.reduced_system import ReducedSystem
 #: A step that changes nothing means a minimum where the damping is below the first, and nothing
 #: helps any more where it is above the second.
 _SMALL, _HOPELESS = 1e-2, 1e8
+#: Fewer unknowns are copied sooner than packed in place.
+_MANY = 1000
 #: Length of twice the acceleration over that of the step, at most (Transtrum and Sethna 2012).
 _MAX_ACCELERATION = 0.75
 
@@ -113,14 +115,39 @@ def places_of(unknowns: csr_array) -> np.ndarray | None:
     return places
 
 
-def restricted(matrix: np.ndarray, unknowns: csr_array) -> np.ndarray:
-    """Return the normal matrix (k, k) of the independent unknowns of a selection (n, k)."""
+def restricted(matrix: np.ndarray, unknowns: csr_array, overwrite: bool = False) -> np.ndarray:
+    """
+    Return the normal matrix of the independent unknowns.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+        Its rows are contiguous.
+    unknowns : csr_array, shape (n, k)
+        Of `selection_matrix`.
+    overwrite : bool
+        Whether the result may take the memory of the matrix, which is lost then: of thousands of
+        views it is hundreds of megabytes.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+
+    """
     places = places_of(unknowns)
-    if places is not None:
+    if places is None:
+        folded: np.ndarray = unknowns.T @ (unknowns.T @ matrix).T
+        return folded
+    size = len(places)
+    if not overwrite or size < _MANY:
         of_places: np.ndarray = matrix[np.ix_(places, places)]
         return of_places
-    folded: np.ndarray = unknowns.T @ (unknowns.T @ matrix).T
-    return folded
+    packed = matrix.reshape(-1)[:size * size].reshape(size, size)
+    if size < len(matrix):
+        # no row is written where a later one is still to be read
+        for row, place in zip(packed, places):
+            row[:] = matrix[place, places]
+    return packed
 
 
 class DampedFactor:
@@ -136,6 +163,8 @@ class DampedFactor:
         Levenberg-Marquardt factor.
     unknowns : csr_array, shape (n, k)
         Of `selection_matrix`.
+    overwrite : bool
+        Whether the factor may take the memory of the matrix, which is lost then.
 
     Attributes
     ----------
@@ -145,7 +174,7 @@ class DampedFactor:
     """
 
     def __init__(self, matrix: np.ndarray | ChainMatrix, diagonal: np.ndarray, damping: float,
-                 unknowns: csr_array):
+                 unknowns: csr_array, overwrite: bool = False):
         self._unknowns = E = unknowns
         self._places = places_of(E)
         if self._places is not None:
@@ -164,7 +193,7 @@ class DampedFactor:
             except NotPositive:
                 self.usable = False
             return
-        H = restricted(matrix, E)
+        H = restricted(matrix, E, overwrite)
         H /= self._root[:, None]
         H /= self._root
         np.einsum('ii->i', H)[:] += damping

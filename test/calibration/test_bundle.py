@@ -30,6 +30,7 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry import schur_complement
 from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -250,9 +251,25 @@ def test_a_matrix_is_inverted_in_place_beside_what_is_held(size):
     apart = eliminated(matrix, selection, right, np.diag(matrix)) - found @ right
     assert np.abs(apart / np.maximum(size_of, 1e-300)).max() < 1e-7
 
+    # the same where the memory of the matrix may be taken
+    diagonal = np.diag(matrix).copy()
+    np.testing.assert_array_equal(
+        eliminated(matrix.copy(), selection, right, diagonal, overwrite=True),
+        eliminated(matrix, selection, right, diagonal))
+    one, other = (DampedFactor(matrix.copy(), diagonal, 1e-3, selection, overwrite)
+                  for overwrite in (False, True))
+    np.testing.assert_array_equal(one.solve(right), other.solve(right))
+    taken = inverse_information(matrix, selection, diagonal, overwrite=True)
+    np.testing.assert_array_equal(taken, found)
+    assert np.shares_memory(taken, matrix)
+
 
 def test_a_direction_without_information_has_a_very_large_variance():
     matrix = np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 5.0]])
     found = inverse_information(matrix, csr_array(np.eye(3)))
     assert found[2, 2] == pytest.approx(0.2) and found[0, 0] > 1e10
     assert found[0, 0] + 2 * found[0, 1] + found[1, 1] == pytest.approx(0.5, rel=1e-2)
+
+    # what its factor leaves of the matrix is enough
+    taken = inverse_information(matrix.copy(), csr_array(np.eye(3)), overwrite=True)
+    np.testing.assert_array_equal(taken, found)

@@ -275,7 +275,7 @@ class Bundle(Generic[StateT]):
             unreduced, root, terms = shared
             system = self._reduced(unreduced, state, damping, terms)
             factor = DampedFactor(system.matrix, system.diagonal, damping,
-                                  self.unknowns.selection)
+                                  self.unknowns.selection, overwrite=True)
             if not factor.usable:
                 return None, 0.0
             step, steps = (
@@ -381,7 +381,7 @@ class Bundle(Generic[StateT]):
             tracks = max(dimension * len(self.view) - absorbed, 1)
         influence = system.influence(inverse[self.unknowns.shared]) * pull
         inverse *= factor
-        # of thousands of views it is hundreds of megabytes, and the inverse is there
+        # of thousands of views it is hundreds of megabytes, which the inverse has taken
         system = replace(system, matrix=np.empty((0, 0)))
         return Information(inverse, influence, freedom / seen, freedom / tracks, system,
                            self.unknowns.lens, factor)
@@ -399,8 +399,9 @@ class Bundle(Generic[StateT]):
         return self.inverse(self.normal_equations(state))
 
     def inverse(self, system: ReducedSystem) -> np.ndarray | ChainInverse:
-        """Invert the normal matrix of this adjustment, or of a like one; shape (n, n)."""
-        return inverse_information(system.matrix, self.unknowns.selection, system.diagonal)
+        """Invert the normal matrix of this adjustment, or of a like one, which is lost: (n, n)."""
+        return inverse_information(system.matrix, self.unknowns.selection, system.diagonal,
+                                   overwrite=True)
 
     def loss_factors(self, linearisation: Linearisation,
                      residual: np.ndarray | None = None) -> tuple[float, float]:

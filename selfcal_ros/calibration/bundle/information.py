@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -84,7 +83,8 @@ class Information:
 
 
 def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
-                        diagonal: np.ndarray | None = None) -> np.ndarray | ChainInverse:
+                        diagonal: np.ndarray | None = None, overwrite: bool = False,
+                        ) -> np.ndarray | ChainInverse:
     """
     Invert a normal matrix, directions without information made very large.
 
@@ -96,6 +96,9 @@ def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
     diagonal : ndarray, shape (n,), optional
         Of the matrix before a block was eliminated: what that leaves of an unknown may be
         nothing but rounding.
+    overwrite : bool
+        Whether the inverse may take the memory of the matrix, which is lost then: of thousands of
+        views it is hundreds of megabytes.
 
     Returns
     -------
@@ -107,26 +110,25 @@ def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
         return _inverse_of_chain(matrix, selection, diagonal)
     places = places_of(selection)
     if places is None:
-        inverse = _restricted_inverse(matrix, selection, diagonal)
+        inverse = _restricted_inverse(matrix, selection, diagonal, overwrite)
         spread: np.ndarray = selection @ (selection @ inverse).T
         return spread
     held = np.ones(len(matrix), bool)
     held[places] = False
-
-    def with_held_apart() -> np.ndarray:
-        apart = np.array(matrix)
-        apart[held], apart[:, held] = 0.0, 0.0
-        apart[held, held] = 1.0
-        return apart
-    inverse = _inverse(with_held_apart, None if diagonal is None else diagonal * ~held)
+    apart = matrix if overwrite else np.array(matrix)
+    apart[held], apart[:, held] = 0.0, 0.0
+    apart[held, held] = 1.0
+    inverse = _inverse(apart, None if diagonal is None else diagonal * ~held)
     inverse[held, held] = 0.0
     return inverse
 
 
 def eliminated(matrix: np.ndarray | ChainMatrix, selection: csr_array, right: np.ndarray,
-               diagonal: np.ndarray | None = None) -> np.ndarray:
+               diagonal: np.ndarray | None = None, overwrite: bool = False) -> np.ndarray:
     """
     Multiply columns (n, m) by the inverse of `inverse_information`, which is not written out.
+
+    The other parameters are those of that.
 
     Returns
     -------
@@ -136,26 +138,27 @@ def eliminated(matrix: np.ndarray | ChainMatrix, selection: csr_array, right: np
     if isinstance(matrix, ChainMatrix):
         product: np.ndarray = _inverse_of_chain(matrix, selection, diagonal) @ right
         return product
-    solved = _restricted_inverse(matrix, selection, diagonal) @ (selection.T @ right)
+    inverse = _restricted_inverse(matrix, selection, diagonal, overwrite)
+    solved = inverse @ (selection.T @ right)
     spread: np.ndarray = selection @ solved
     return spread
 
 
 def _restricted_inverse(matrix: np.ndarray, selection: csr_array, diagonal: np.ndarray | None,
-                        ) -> np.ndarray:
+                        overwrite: bool) -> np.ndarray:
     """Invert the matrix of the independent unknowns of a selection (n, k), shape (k, k)."""
     scale = None if diagonal is None else abs(selection).T @ diagonal
-    return _inverse(lambda: restricted(matrix, selection), scale)
+    return _inverse(restricted(matrix, selection, overwrite), scale)
 
 
-def _inverse(fresh: Callable[[], np.ndarray], diagonal: np.ndarray | None) -> np.ndarray:
+def _inverse(H: np.ndarray, diagonal: np.ndarray | None) -> np.ndarray:
     """
-    Invert a symmetric matrix in its own place: of thousands of views it is hundreds of megabytes.
+    Invert a symmetric matrix in its own place.
 
     Parameters
     ----------
-    fresh : callable
-        Returns the matrix (k, k), each time another that may be written over.
+    H : ndarray, shape (k, k)
+        Written over.
     diagonal : ndarray, shape (k,), optional
         See `inverse_information`.
 
@@ -164,7 +167,6 @@ def _inverse(fresh: Callable[[], np.ndarray], diagonal: np.ndarray | None) -> np
     ndarray, shape (k, k)
 
     """
-    H = fresh()
     # what nothing measures has a very large variance, of which products are still numbers
     scale = np.maximum(np.diag(H), max(1e-300, 1e-100 * float(np.diag(H).max(initial=0))))
     if diagonal is not None:
@@ -173,26 +175,31 @@ def _inverse(fresh: Callable[[], np.ndarray], diagonal: np.ndarray | None) -> np
     H /= root[:, None]
     H /= root
     # of a symmetric matrix rows are columns, which saves a copy
-    norm = dlange('1', H.T)
-    factor, failed = dpotrf(H.T, overwrite_a=1)
+    norm, own = dlange('1', H.T), np.diag(H).copy()
+    factor, failed = dpotrf(H.T, clean=0, overwrite_a=1)
     # the reciprocal condition in the 1-norm bounds that of the eigenvalues from below
     inverse: np.ndarray
     if not failed and dpocon(factor, norm)[0] > 10 * RANK_TOLERANCE:
-        inverse = dpotri(factor, overwrite_c=1)[0].T
-        for begin in range(0, len(inverse), _MIRRORED):
-            own = slice(begin, begin + _MIRRORED)
-            inverse[:begin, own] = inverse[own, :begin].T
-            part = inverse[own, own]
-            part += np.tril(part, -1).T
+        inverse = _mirrored(dpotri(factor, overwrite_c=1)[0].T)
     else:
-        H = fresh()
-        H /= root[:, None]
-        H /= root
+        # the other triangle is still that of the matrix
+        H = _mirrored(factor)
+        np.fill_diagonal(H, own)
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
     inverse /= root[:, None]
     inverse /= root
     return inverse
+
+
+def _mirrored(matrix: np.ndarray) -> np.ndarray:
+    """Copy the triangle below the diagonal to that above, in place."""
+    for begin in range(0, len(matrix), _MIRRORED):
+        own = slice(begin, begin + _MIRRORED)
+        matrix[:begin, own] = matrix[own, :begin].T
+        part = matrix[own, own]
+        part[:] = np.tril(part) + np.tril(part, -1).T
+    return matrix
 
 
 def _inverse_of_chain(matrix: ChainMatrix, selection: csr_array, diagonal: np.ndarray | None,

@@ -234,11 +234,11 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray,
                             variance_inflation=variance_inflation,
                             prior_weight=1 / variance_inflation)
     system = joint.system
+    coupling = system.columns(joint.shared)
     factor = DampedFactor(system.matrix, system.diagonal, 0.0, embedded_selection(
-        fit.bundle.unknowns.selection, joint.place, len(system.matrix)))
+        fit.bundle.unknowns.selection, joint.place, len(system.matrix)), overwrite=True)
     if not factor.usable:
         return None
-    coupling = system.columns(joint.shared)
     solved = factor.solve(coupling)
     own = coupling[joint.shared] - coupling.T @ solved
     pull = system.gradient[joint.shared] - solved.T @ system.gradient

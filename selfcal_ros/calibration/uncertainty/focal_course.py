@@ -127,8 +127,9 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     every = unknowns.of_views(VIEW_NAME)[:, 0]
     of_zoom = np.isin(unknowns.members, every[:-1])
     coupling, gradient = system.columns(every), system.gradient
-    factor = DampedFactor(system.matrix, system.diagonal, 0.0, csr_array(E[:, ~of_zoom]))
-    # of a thousand views it is hundreds of megabytes
+    factor = DampedFactor(system.matrix, system.diagonal, 0.0, csr_array(E[:, ~of_zoom]),
+                          overwrite=True)
+    # what eliminates the points takes as much again of a thousand views
     del system
     if not factor.usable:
         return None

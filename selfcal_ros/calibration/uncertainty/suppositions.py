@@ -302,7 +302,7 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
     selection = csr_array(block_diag([unknowns.selection, identity(len(aside))]))
     selection = embedded_selection(selection, rest, len(system.matrix))
     coupling = system.columns(further)
-    follows = -eliminated(system.matrix, selection, coupling, system.diagonal)
+    follows = -eliminated(system.matrix, selection, coupling, system.diagonal, overwrite=True)
     information = coupling[further] + coupling.T @ follows
     factor, pull = fit.bundle.loss_factors(fit.linearisation)
     return JointInformation(
