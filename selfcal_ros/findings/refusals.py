@@ -181,6 +181,13 @@ REFUSALS: dict[str, Phrase] = {
         'more here than the images do. No camera file is written.',
         'Record more views, and turn the camera by 20 degrees or more; of a cropped image, state '
         'the principal point.'),
+    'focal_too_short': Phrase(
+        'The best explanation of the images has a focal length of {focal_px:.2g} px in images of '
+        '{side_px} px: no lens is so wide.',
+        'Such a camera bends images at will, and explains what moves, drifts, or is read row by '
+        'row. It is no calibration.',
+        'Record a path that turns by 20 degrees or more before a scene of some depth; mask what '
+        'moves.'),
     'points_behind': Phrase(
         'The images do not determine the camera, which moved little beside its rotations: their '
         'best explanation puts {share:percent} % of the points behind it.',

@@ -62,6 +62,7 @@ class ScoreRequest:
     tracks: Tracks
     camera: Camera
     free: tuple[str, ...]
+    shift_px: float
     generation: int
     reference: bool
     mount: Mount | None = None
@@ -70,7 +71,7 @@ class ScoreRequest:
     def run(self) -> WindowVerdict | NoEstimate:
         """Score it; takes tenths of a second, for a worker thread."""
         tracks, _ = drop_static(self.tracks)
-        found = adjusted(tracks, self.camera, np.random.default_rng(0))
+        found = adjusted(tracks, self.camera, np.random.default_rng(0), self.shift_px)
         if isinstance(found, NoEstimate):
             return found
         score = score_of(*found, self.camera, self.free)
@@ -220,7 +221,7 @@ class Monitoring:
             return None
         tracks, reference = self._waiting.popleft()
         request = ScoreRequest(tracks, self._monitor.camera, self._monitor.free,
-                               self._generation, reference)
+                               self._monitor.shift_px, self._generation, reference)
         robot = ask_robot() if ask_robot and self._of_mount is not None else None
         if self._of_mount is None or robot is None or not tracks.stamps_ns:
             return request

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A small turn with a doubtful focal length is a hint, whatever the motion was."""
+"""A focal length that is doubtful after a small turn is a hint; one that no lens has is none."""
 
 from dataclasses import replace
 
@@ -22,8 +22,9 @@ from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import CENTRE_OUTSIDE, HINT, NotCalibrated
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.synthetic.hard_scenes import hand, one_curve, scene, vehicle
+from selfcal_ros.synthetic.hard_scenes import hand, one_curve, s_curve, scene, vehicle
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -114,3 +115,16 @@ def test_a_plane_that_nobody_stated_must_explain_a_clip_as_well_as_free_motion()
     found = result.hint
     away = found.camera.parameters[:4] - clip.camera.parameters[:4]
     assert (np.abs(away) < 4 * np.sqrt(np.diag(found.covariance))[:4]).all()
+
+
+@pytest.mark.parametrize('focal_px', [60.0, 70.0])
+def test_a_focal_length_that_no_lens_has_is_refused(focal_px):
+    """A drone over a field came out at 15 px in images of 1280, 1109 sigmas off, in silence."""
+    camera = Camera([[focal_px, 0, 320], [0, focal_px, 240], [0, 0, 1]], (), 640, 480)
+    sequence = vehicle(np.random.default_rng(2), s_curve(), count=150, camera=camera)
+    result = calibrate(sequence.tracks, facts=CameraFacts(1.0, 0.0, distortion='none'))
+    if focal_px < 0.1 * 640:
+        assert not result and result.kind == 'focal_too_short'
+        assert result.values['focal_px'] == pytest.approx(focal_px, rel=0.01)
+    else:
+        assert abs(result.camera.K[0, 0] - focal_px) < 4 * result.sigma['fx']

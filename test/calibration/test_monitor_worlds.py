@@ -22,6 +22,7 @@ from scipy.stats import chi2
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, record
@@ -97,6 +98,22 @@ def test_what_moves_by_itself_is_set_aside():
     assert score.still < 0.95
     assert score.noise_px < 1.1 * NOISE_PX
     assert squares(score) < chi2.isf(1e-3, len(FREE))
+
+
+def test_images_that_are_shifted_do_not_look_like_another_camera():
+    still = window(4)
+    by_view = np.random.default_rng(4).normal(0, 3.0, (len(TIMES), 2))
+    tracks = replace(still, xy=still.xy + by_view[still.frame])
+    plain, known = (window_score(tracks, CAMERA, FREE, np.random.default_rng(0), shift_px)
+                    for shift_px in (0.0, 3.0))
+    assert squares(plain) > chi2.isf(1e-3, len(FREE)) > squares(known)
+    assert known.noise_px < 1.1 * NOISE_PX < plain.noise_px
+
+
+def test_the_monitor_knows_how_far_images_were_shifted():
+    told = Finding('images_shifted', shift_px=3.0 * np.sqrt(2))
+    assert ChangeMonitor(calibration()).shift_px == 0
+    assert ChangeMonitor(replace(calibration(), findings=(told,))).shift_px == pytest.approx(3.0)
 
 
 def calibration(f=520.0):

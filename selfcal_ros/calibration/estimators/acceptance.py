@@ -82,6 +82,9 @@ SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 #: So is one beside a principal point that is certain to so many sigmas, and lies farther from the
 #: middle than this share of the image's side. Of 9810 measured cameras 2 % are so, as crops.
 FAR_OFF_SIGMAS, FAR_OFF = 3.0, 0.25
+#: No lens has a shorter focal length than this share of the image's longer side: of 9810 measured
+#: cameras one has.
+SHORTEST_FOCAL = 0.1
 #: Circular motion with an unknown principal point determines the focal length better than this
 #: share, or not at all: what is left of the systematic errors is a multiple of such sigmas.
 OF_CIRCLE_SIGMA = 0.015
@@ -154,6 +157,11 @@ def _lens_fits(found: _Optimum) -> NoEstimate | None:
                             found.fit.observations.moves_by_view)
 
 
+def _lens_exists(found: _Optimum) -> NoEstimate | None:
+    """Refuse a field of view that no lens has."""
+    return too_wide(found.fit.state.lens.focal_lengths, found.problem.size)
+
+
 def _can_be_checked(found: _Optimum) -> NoEstimate | None:
     """Refuse what has too few observations to spare."""
     return unchecked(found.fit.bundle)
@@ -221,8 +229,8 @@ def _turns_in_itself(found: _Optimum) -> bool:
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
-ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be_checked,
-                    _is_determined, _is_ahead)
+ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_exists, _lens_fits,
+                    _can_be_checked, _is_determined, _is_ahead)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
@@ -345,6 +353,13 @@ def most_agree(rejected: float, zooms: bool = False) -> NoEstimate | None:
     """Refuse what a larger share of the observations contradicts than may."""
     return (NoEstimate('too_many_outliers', rejected=float(rejected))
             if rejected > (MAX_BESIDE_ZOOM if zooms else MAX_OUTLIERS) else None)
+
+
+def too_wide(focal_px: np.ndarray, size: tuple[int, int]) -> NoEstimate | None:
+    """Refuse a focal length, pixels, that is shorter than any lens's in images of this size."""
+    shortest = float(np.min(focal_px))
+    return (None if shortest >= SHORTEST_FOCAL * max(size)
+            else NoEstimate('focal_too_short', focal_px=shortest, side_px=int(max(size))))
 
 
 def deviates_too_far(field: DistortionMisfit | None, size: tuple[int, int], sigma_px: float,

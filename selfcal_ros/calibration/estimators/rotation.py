@@ -40,7 +40,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEASURE
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
-                                                           unchecked)
+                                                           too_wide, unchecked)
 from selfcal_ros.calibration.estimators.image_shift_choice import (are_shifts, LEAST_GAIN,
                                                                    LEFT_AT_LAST,
                                                                    LEFT_BESIDE_ROWS,
@@ -327,6 +327,7 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
         assessed.misfit, size, bundle.sigma_px, facts, verdict,
         float(np.sqrt(covariance[0, 0]) / state.lens['f']))
     for refused in (most_agree(fit.outliers / len(observed.view)), unchecked(bundle),
+                    too_wide(state.lens.focal_lengths, size),
                     verdict.refusal(covariance, state.lens['f']),
                     deviates and (verdict.cause or deviates)):
         if refused is not None:

@@ -61,6 +61,8 @@ class ChangeMonitor(SequentialMonitor):
         Those unknowns of the lens that `window_score` has to differentiate by.
     in_force : ndarray, shape (k,)
         These parameters of the camera in force.
+    shift_px : float
+        How far each of its images is shifted by itself, standard deviation.
     camera : Camera
         That the next window is to be scored against: the one in force, or after an alarm the one
         that there seems to be, since a score is exact to first order only.
@@ -82,6 +84,10 @@ class ChangeMonitor(SequentialMonitor):
                           if variance > 0 or name in CHANGES)
         places = lens.places(self.free)
         self.in_force = lens.take(self.free)
+        # of both coordinates together
+        self.shift_px = next((float(one.values['shift_px']) / np.sqrt(2)
+                              for one in calibration.findings if one.kind == 'images_shifted'),
+                             0.0)
         size = np.hypot(self.camera.width, self.camera.height)
         # displacement half a diagonal from the middle: of a focal length, and of the middle
         reach = 2 * self.camera.K[0, 0] / size

@@ -26,9 +26,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.clock import Clock, was_turned_upright
+from selfcal_ros.calibration.bundle.image_shift import shifts
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
-from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel
 from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, Priors
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit,
@@ -70,7 +71,8 @@ class WindowFit:
     still: float
 
 
-def fit_window(graph: ViewGraph, observations: Observations, camera: Camera) -> WindowFit | None:
+def fit_window(graph: ViewGraph, observations: Observations, camera: Camera,
+               shift_px: float = 0.0) -> WindowFit | None:
     """
     Adjust a window, sort out what moves by itself, and hold the camera that explains the rest.
 
@@ -80,6 +82,8 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera) -> 
     observations : Observations
     camera : Camera
         To begin with.
+    shift_px : float
+        How far each image is shifted by itself, standard deviation; see `image_shift`.
 
     Returns
     -------
@@ -88,18 +92,19 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera) -> 
 
     """
     lens, sigma_px = Lens.of(camera), max(graph.noise_px, MIN_NOISE_PX)
-    bundle = bundle_of(observations, GENERAL, all_fixed(lens), sigma_px)
+    motion = replace(GENERAL, shift=shifts(shift_px)) if shift_px else GENERAL
+    bundle = bundle_of(observations, motion, all_fixed(lens), sigma_px)
     state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
     state = bundle.optimise(state, iterations=12, tolerance=SHARE_OF_COST * bundle.cost(state))
     observations = replace(observations, clock=clock_of(graph, camera)).read_in_rows()
-    found = _still(observations, state, _any_camera(lens), sigma_px)
+    found = _still(observations, state, motion, _any_camera(lens), sigma_px)
     if found is None:
         return None
     kept, state, still, sigma_px = found
     for _ in range(RENEWALS):
-        bundle = bundle_of(kept, GENERAL, _any_camera(lens), sigma_px)
+        bundle = bundle_of(kept, motion, _any_camera(lens), sigma_px)
         state = bundle.optimise(state, iterations=15, tolerance=TO_MEASURE)
         renewed = kept.displaced(state)
         if renewed.is_displaced_like(kept, state, 0.1 * sigma_px):
@@ -130,19 +135,19 @@ def _any_camera(lens: Lens) -> Priors:
         'cy': Prior(lens['cy'], CENTRE_FRACTION * f)})
 
 
-def _still(observations: Observations, state: SceneState, priors: Priors, sigma_px: float,
-           ) -> tuple[Observations, SceneState, float, float] | None:
+def _still(observations: Observations, state: SceneState, motion: MotionModel, priors: Priors,
+           sigma_px: float) -> tuple[Observations, SceneState, float, float] | None:
     """Sort out what stands still: observations, state, their share of the tracks, and noise."""
     kept, still = observations.displaced(state), np.ones(len(observations.track), bool)
     for _ in range(ROUNDS):
-        bundle = bundle_of(kept, GENERAL, priors, sigma_px)
+        bundle = bundle_of(kept, motion, priors, sigma_px)
         state = bundle.optimise(state, iterations=12, tolerance=TO_CHOOSE)
         sigma_px = max(bundle.noise_sigma(state), MIN_NOISE_PX)
         placed = with_all_points(state, observations)
         if placed is None or not np.isfinite(sigma_px):
             return None
         shown = observations.displaced(placed)
-        every = bundle_of(shown, GENERAL, priors, sigma_px)
+        every = bundle_of(shown, motion, priors, sigma_px)
         placed = every.refine_points(placed)
         distance = np.nan_to_num(np.linalg.norm(every.residuals(placed), axis=1) / sigma_px,
                                  nan=np.inf)

@@ -91,7 +91,7 @@ class WindowScore:
 
 
 def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
-                 rng: np.random.Generator) -> WindowScore | NoEstimate:
+                 rng: np.random.Generator, shift_px: float = 0.0) -> WindowScore | NoEstimate:
     """
     Score a window of keyframes against a camera.
 
@@ -105,6 +105,8 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
         Those unknowns of the lens that it is to tell of.
     rng : numpy.random.Generator
         For RANSAC.
+    shift_px : float
+        How far each image is shifted by itself, standard deviation; see `image_shift`.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
         The latter where the window says nothing.
 
     """
-    found = adjusted(tracks, camera, rng)
+    found = adjusted(tracks, camera, rng, shift_px)
     return found if isinstance(found, NoEstimate) else score_of(*found, camera, free)
 
 
@@ -145,7 +147,7 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
         float(np.sqrt(told.covariance[row, row])))
 
 
-def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator,
+def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator, shift_px: float = 0.0,
              ) -> tuple[ViewGraph, WindowFit] | NoEstimate:
     """
     Adjust poses and points of a window, without what moves by itself.
@@ -168,7 +170,7 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator,
     observations, _ = observations.select(observations.longest(WINDOW_TRACKS_PER_VIEW))
     if len(observations.track) < MIN_POINTS:
         return NoEstimate('window_few_points', points=len(observations.track))
-    fitted = fit_window(graph, observations, camera)
+    fitted = fit_window(graph, observations, camera, shift_px)
     return NoEstimate('window_outside_lens') if fitted is None else (graph, fitted)
 
 
