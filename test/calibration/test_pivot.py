@@ -33,7 +33,7 @@ from selfcal_ros.calibration.estimators import motion_choice, moving_camera, piv
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.motion_choice import MAX_NOISE_OF_WEAK_PATH
 from selfcal_ros.calibration.estimators.moving_camera import MovingCamera, Turn
-from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
+from selfcal_ros.calibration.estimators.pivot import (decide_pivot, extent_share, left_by_turns,
                                                       PivotDecision)
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
@@ -186,7 +186,7 @@ def test_the_way_of_a_camera_is_measured_against_depths_wherever_the_point_that_
         path = replace(AxisPath.of_turns(R), translation=poses[:, :, 3])
         points = np.column_stack([rng.uniform(-1, 1, (50, 3)) * [2, 1, 1] + [0, 0, 4],
                                   np.ones(50)]) - [*lever, 0]
-        shares.append(_moved_shares(SceneState(Lens.of(CAMERA), path, points))[0])
+        shares.append(extent_share(path.centres(), points))
 
     assert shares[0] == pytest.approx(0.1, abs=0.02)
     assert shares[1] == pytest.approx(shares[0], rel=0.1)
@@ -319,6 +319,28 @@ def test_a_camera_that_rotations_contradict_is_no_calibration_where_they_leave_a
     # rotations that leave much say nothing
     clear = replace(noisy, graph=replace(graph, noise_px=0.1 * turning.left_px))
     assert clear.unless_like_turns(far, turning) is far
+
+
+def test_a_long_way_in_a_plane_is_no_turn_because_the_vehicle_mostly_stood(monkeypatch):
+    # two of fourteen such vehicles were refused, with a focal length that was right
+    sequence = vehicle(np.random.default_rng(3), s_curve(6), count=60)
+    found = calibrate(sequence.tracks, motion='planar', facts=STRAIGHT)
+    graph = build_view_graph(sequence.tracks, np.random.default_rng(0))
+    monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
+    fit = SimpleNamespace(state=SimpleNamespace(lens={'f': 0.8 * found.camera.K[0, 0]}))
+
+    def held_against(result, times):
+        case = MovingCamera(replace(graph, noise_px=found.noise_sigma_px), (640, 480), STRAIGHT,
+                            'auto', [])
+        return case.unless_like_turns(result, SimpleNamespace(
+            left_px=times * found.noise_sigma_px, lens=SimpleNamespace(fit=fit)))
+
+    assert held_against(found, 1.8) is found
+    # rotations that leave as little, and a path that is short or free, are in doubt
+    still = replace(found.reconstructed, cam_from_world=found.reconstructed.cam_from_world[:1])
+    for result, times in ((found, 1.2), (replace(found, motion='general'), 1.8),
+                          (replace(found, reconstruction=still), 1.8)):
+        assert held_against(result, times).kind == 'unlike_rotations'
 
 
 def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):

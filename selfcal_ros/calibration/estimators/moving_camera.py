@@ -29,13 +29,15 @@ from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_fro
                                                                    MOTION_MODELS)
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.one_motion import UNEXPLAINED
-from selfcal_ros.calibration.estimators.pivot import decide_pivot, MAX_NOISE_OF_PIVOT
+from selfcal_ros.calibration.estimators.pivot import (decide_pivot, extent_share,
+                                                      MAX_NOISE_OF_PIVOT)
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)
 from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -71,6 +73,10 @@ SHORT_PATH = 0.3
 #: Where rotations leave less than this many times the noise, what moved was too little to change
 #: the logarithm of the focal length by more: heads with a lever changed it by up to 0.04.
 MAX_NOISE_OF_LIKE_TURN, MAX_FOCAL_CHANGE = 2.0, 0.1
+#: That does not hold of a path in a plane whose extent is more than this share of the points'
+#: depth, if rotations leave this many times its noise. So it is with vehicles that stand most of
+#: the time, or drive before what is far. Heads with a lever move by less than 0.05.
+A_WAY, CLEARLY_MORE = 0.15, 1.4
 
 
 @dataclass(frozen=True)
@@ -222,7 +228,8 @@ class MovingCamera:
                           ) -> Calibration | NoEstimate:
         """Refuse a path if rotations fit as well, with a quite different focal length."""
         if (not isinstance(rotations, RotationFit) or isinstance(result, NoEstimate)
-                or rotations.left_px > MAX_NOISE_OF_LIKE_TURN * self.graph.noise_px):
+                or rotations.left_px > MAX_NOISE_OF_LIKE_TURN * self.graph.noise_px
+                or _drove(result, rotations.left_px)):
             return result
         turned_px, focal_px = rotations.lens.fit.state.lens['f'], float(result.camera.K[0, 0])
         if abs(np.log(focal_px / turned_px)) < MAX_FOCAL_CHANGE:
@@ -230,3 +237,12 @@ class MovingCamera:
         return NoEstimate('unlike_rotations', focal_px=focal_px, turned_px=float(turned_px),
                           left_px=result.noise_sigma_px, motion=result.motion,
                           facts=result.facts, status=result.status)
+
+
+def _drove(result: Calibration, turned_px: float) -> bool:
+    """Tell whether a path in a plane is long, and explains clearly more than rotations do."""
+    scene = result.reconstructed
+    poses = scene.cam_from_world
+    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    return (result.motion in IN_A_PLANE and turned_px > CLEARLY_MORE * result.noise_sigma_px
+            and extent_share(centres, scene.points) > A_WAY)

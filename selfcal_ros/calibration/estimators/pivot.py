@@ -211,7 +211,8 @@ def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rotatio
     return problem, PivotDecision(
         model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / variance_inflation,
-        free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
+        free.bundle.unknowns.count - fit.bundle.unknowns.count,
+        extent_share(fit.state.path.centres(), fit.state.points), _lever_share(fit.state))
 
 
 def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: SceneState,
@@ -330,18 +331,21 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     return float(np.median(misfit) * camera.K[0, 0] / max(graph.noise_px, LEAST_NOISE_PX))
 
 
-def _moved_shares(state: SceneState) -> tuple[float, float]:
-    """Return the extent of the camera's path, and its lever, over the usual depth of points."""
-    centres, points = state.path.centres(), state.points
+def extent_share(centres: np.ndarray, points: np.ndarray) -> float:
+    """Extent of the camera's path (V, 3) over the usual depth of points, homogeneous (P, 4)."""
+    return float(np.linalg.norm(np.ptp(centres, axis=0))) * _inverse_depth(centres, points)
+
+
+def _inverse_depth(centres: np.ndarray, points: np.ndarray) -> float:
     # not from the point that rests: along a common axis of all turns it may be anywhere
     far = np.linalg.norm(points[:, :3] - points[:, 3:] * centres.mean(axis=0), axis=1)
-    inverse_depth = float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
-    return (float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth,
-            float(np.linalg.norm(state.path.translation[0])) * inverse_depth)
+    return float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
 
 
 def _lever_share(state: SceneState) -> float:
-    return _moved_shares(state)[1]
+    """Return the lever over the usual depth of points."""
+    lever = float(np.linalg.norm(state.path.translation[0]))
+    return lever * _inverse_depth(state.path.centres(), state.points)
 
 
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
