@@ -157,11 +157,6 @@ def _lens_fits(found: _Optimum) -> NoEstimate | None:
                             found.fit.observations.moves_by_view)
 
 
-def _lens_exists(found: _Optimum) -> NoEstimate | None:
-    """Refuse a field of view that no lens has."""
-    return too_wide(found.fit.state.lens.focal_lengths, found.problem.size)
-
-
 def _can_be_checked(found: _Optimum) -> NoEstimate | None:
     """Refuse what has too few observations to spare."""
     return unchecked(found.fit.bundle)
@@ -172,6 +167,11 @@ def _is_ahead(found: _Optimum) -> NoEstimate | None:
     if not found.problem.is_weak:
         return None
     return None if found.behind < MAX_BEHIND else NoEstimate('points_behind', share=found.behind)
+
+
+def _lens_exists(found: _Optimum) -> NoEstimate | None:
+    """Refuse a field of view that no lens has."""
+    return too_wide(found.fit.state.lens.focal_lengths, found.problem.size)
 
 
 def _is_determined(found: _Optimum) -> NoEstimate | None:
@@ -229,8 +229,8 @@ def _turns_in_itself(found: _Optimum) -> bool:
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
-ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_exists, _lens_fits,
-                    _can_be_checked, _is_determined, _is_ahead)
+ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be_checked,
+                    _is_determined, _is_ahead, _lens_exists)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,

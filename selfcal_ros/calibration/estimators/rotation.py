@@ -327,9 +327,9 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
         assessed.misfit, size, bundle.sigma_px, facts, verdict,
         float(np.sqrt(covariance[0, 0]) / state.lens['f']))
     for refused in (most_agree(fit.outliers / len(observed.view)), unchecked(bundle),
-                    too_wide(state.lens.focal_lengths, size),
                     verdict.refusal(covariance, state.lens['f']),
-                    deviates and (verdict.cause or deviates)):
+                    deviates and (verdict.cause or deviates),
+                    too_wide(state.lens.focal_lengths, size)):
         if refused is not None:
             return refused.saying(**{'status': status, **refused.values, 'motion': 'rotation',
                                      'facts': facts})
