@@ -28,8 +28,8 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import most_agree
-from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, gain_of_most,
-                                                              shape_gain, SURE)
+from selfcal_ros.calibration.uncertainty.focal_course import (_steady_growth, focal_evidence,
+                                                              gain_of_most, shape_gain, SURE)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -264,3 +264,12 @@ def test_rows_read_in_turn_that_seem_to_zoom_among_gross_errors_are_refused_in_a
     tracks = with_outliers(sequence, rng, 0.3).tracks
     result = calibrate(tracks, motion='planar', facts=CameraFacts(distortion='radial2'))
     assert not result and result.kind == 'too_many_outliers'
+
+
+@pytest.mark.parametrize('told, found', [(4.0, (0.5, 12.0)), (-1e-9, (0.0, 0.0))])
+def test_rounding_tells_of_no_course(told, found):
+    """An arm that only shifts was refused for singular equations, after overflows."""
+    rate, information, along = _steady_growth(told * np.eye(3), np.full(3, -2.0), np.ones(3))
+
+    assert (rate, information) == found
+    assert along @ along == pytest.approx(max(told, 0))

@@ -47,6 +47,9 @@ BEYOND = 2.0
 #: Standard deviations of a step of the random walk that are tried.
 SIZES = 1e-5 * 2.0**(0.5 * np.arange(30))
 
+#: Less information on steady growth than this is none.
+LEAST_TOLD = 1e-100
+
 #: Share of the tracks on either side that a gain may not rest on, and how many at least.
 FEW, LEAST_FEW = 0.02, 3
 
@@ -147,15 +150,23 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     there = np.diff(zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
     pull = pull - own @ there
     steady = np.diff(free.course) / np.sqrt(replace(free, sigma=1.0).variances)
-    information = float(steady @ own @ steady)
-    along = own @ steady / np.sqrt(max(information, 1e-300))
-    # where nothing tells of a course, none is found
-    rate = -float(steady @ pull) / information if information > 1e-100 else 0.0
+    rate, information, along = _steady_growth(own, pull, steady)
     walk_gain, walk_sigma = _best_walk(own, pull)
     beyond_gain, beyond_sigma = _best_walk(own - np.outer(along, along),
                                            pull + rate * (own @ steady))
     return FocalEvidence(rate, 1 / np.sqrt(max(information, 1e-300)), walk_sigma,
                          0.5 * rate**2 * information, walk_gain, beyond_gain, beyond_sigma)
+
+
+def _steady_growth(own: np.ndarray, pull: np.ndarray, steady: np.ndarray,
+                   ) -> tuple[float, float, np.ndarray]:
+    """Return the best rate of steps (k,), what is told of it, and what of the steps with it."""
+    information = float(steady @ own @ steady)
+    if information < LEAST_TOLD:
+        # nothing tells of a course but rounding, which may be below zero
+        return 0.0, 0.0, np.zeros(len(steady))
+    return (-float(steady @ pull) / information, information,
+            own @ steady / np.sqrt(information))
 
 
 def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEvidence,
