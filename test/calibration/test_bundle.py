@@ -29,8 +29,8 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry import schur_complement
-from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
+from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.scenes import sequence_si

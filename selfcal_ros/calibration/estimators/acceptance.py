@@ -169,11 +169,6 @@ def _is_ahead(found: _Optimum) -> NoEstimate | None:
     return None if found.behind < MAX_BEHIND else NoEstimate('points_behind', share=found.behind)
 
 
-def _lens_exists(found: _Optimum) -> NoEstimate | None:
-    """Refuse a field of view that no lens has."""
-    return too_wide(found.fit.state.lens.focal_lengths, found.problem.size)
-
-
 def _is_determined(found: _Optimum) -> NoEstimate | None:
     """Refuse a motion that leaves parameters of K open, and tell which would not."""
     missing, status = found.missing, found.status
@@ -226,6 +221,11 @@ def _turns_in_itself(found: _Optimum) -> bool:
     places = near[:, :3] / near[:, 3:]
     normal = np.linalg.svd(places - np.median(places, axis=0), full_matrices=False)[2][2]
     return bool(abs(normal[2]) > np.cos(PARALLEL_RAD))
+
+
+def _lens_exists(found: _Optimum) -> NoEstimate | None:
+    """Refuse a field of view that no lens has."""
+    return too_wide(found.fit.state.lens.focal_lengths, found.problem.size)
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.

@@ -37,7 +37,7 @@ from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
+from selfcal_ros.calibration.structure.metric_structure import camera_centres, IN_A_PLANE
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -242,7 +242,5 @@ class MovingCamera:
 def _drove(result: Calibration, turned_px: float) -> bool:
     """Tell whether a path in a plane is long, and explains clearly more than rotations do."""
     scene = result.reconstructed
-    poses = scene.cam_from_world
-    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
     return (result.motion in IN_A_PLANE and turned_px > CLEARLY_MORE * result.noise_sigma_px
-            and extent_share(centres, scene.points) > A_WAY)
+            and extent_share(camera_centres(scene.cam_from_world), scene.points) > A_WAY)

@@ -74,7 +74,7 @@ class Structure:
     @property
     def centres(self) -> np.ndarray:
         """Camera centres in the world, shape (V, 3)."""
-        return _centres(self.cam_from_world)
+        return camera_centres(self.cam_from_world)
 
 
 def metric_structure(calibration: Calibration, tracks: Tracks,
@@ -141,7 +141,7 @@ def metres_a_step(calibration: Calibration) -> float | None:
     return mount.scale
 
 
-def _centres(poses: np.ndarray) -> np.ndarray:
+def camera_centres(poses: np.ndarray) -> np.ndarray:
     """Return the camera centres of [R | t], shape (V, 3)."""
     centres: np.ndarray = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
     return centres
@@ -175,7 +175,7 @@ def world_and_scale(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]
             forward = -poses[0, 1, :3] + up * (up @ poses[0, 1, :3])
         forward /= np.linalg.norm(forward)
         axes = np.array([forward, np.cross(up, forward), up])
-    centres = _centres(poses)
+    centres = camera_centres(poses)
     steps = [np.linalg.norm(centres[k + 1] - centres[k]) for k in middle_steps(centres)]
     return (np.column_stack([axes, -axes @ centres[0]]),
             float(1 / np.mean(steps)) if steps else 1.0)
