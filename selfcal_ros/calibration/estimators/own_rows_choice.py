@@ -44,6 +44,10 @@ CLEARLY_LESS = 0.97
 #: A line delay is estimated beside the motion of single views where it is surer than this how the
 #: camera moves at each: a tenth of what is enough to estimate it alone.
 SURE_OF_PACE = 0.03
+#: Sizes by which the mean over the views may be off zero. Where more is found, all images share it:
+#: a skew acts so, which leaves the focal length of a planar motion free. Views that do move stay
+#: within 3.
+MOST_IN_COMMON = 3.5
 #: Shares of the motion between views that are tried. The interval is longer than the readout.
 SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
 #: Rounds in which the size settles, and the change of its log that ends them.
@@ -83,7 +87,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     found, most_px = None, CLEARLY_LESS * left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
     for _ in range(ROUNDS):
         moving = _moving(fit, observations, sigma)
-        if moving is None or moving.bundle.sigma_px > most_px:
+        if moving is None or moving.bundle.sigma_px > most_px or not _is_own(moving):
             break
         most_px = moving.bundle.sigma_px
         found, fit, before = sigma, moving, sigma
@@ -136,6 +140,14 @@ def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustF
     if state is None:
         return None
     return fit_robustly(offered, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+
+
+def _is_own(fit: RobustFit) -> bool:
+    """Tell whether the motion that a fit has found is that of single views."""
+    shutter, motion = fit.observations.shutter, fit.state.row_motion
+    assert shutter is not None and shutter.own is not None and motion is not None
+    in_common = np.abs(motion.mean(axis=0))
+    return bool(in_common.max() < MOST_IN_COMMON * shutter.own.sigma)
 
 
 def _size_after(fit: RobustFit) -> float:
