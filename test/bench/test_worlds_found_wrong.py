@@ -135,7 +135,7 @@ def test_each_of_few_views_is_read_in_turn_by_its_own_motion(robot, seed):
 
 
 def test_what_all_views_share_is_no_motion_of_single_ones():
-    """Its rows' mean acted as a skew: 4.1 sigma and 3.7 % off in silence, others 8 and 12 sigma."""
+    """Its mean acted as a skew: 4.1 sigma and 3.7 % off in silence; others 8 and 12 sigma."""
     world, _ = everyday.build('stops often', 1502)
     result = world.calibrated(everyday.SQUARE)
 

@@ -44,9 +44,8 @@ CLEARLY_LESS = 0.97
 #: A line delay is estimated beside the motion of single views where it is surer than this how the
 #: camera moves at each: a tenth of what is enough to estimate it alone.
 SURE_OF_PACE = 0.03
-#: Sizes by which the mean over the views may be off zero. Where more is found, all images share it:
-#: a skew acts so, which leaves the focal length of a planar motion free. Views that do move stay
-#: within 3.
+#: Sizes by which the mean over the views may be off zero. Where more is found, all images share
+#: it: a skew acts so, which leaves the focal length of a planar motion free.
 MOST_IN_COMMON = 3.5
 #: Shares of the motion between views that are tried. The interval is longer than the readout.
 SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
