@@ -165,6 +165,12 @@ def rq(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     return U * sign, sign[:, None] * Q
 
 
+def camera_centres(poses: np.ndarray) -> np.ndarray:
+    """Return the camera centres (V, 3) of poses [R | t], shape (V, 3, 4)."""
+    centres: np.ndarray = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    return centres
+
+
 def line_pair(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Degenerate conic a b^T + b a^T of two lines (..., 3)."""
     a, b = np.asarray(a), np.asarray(b)

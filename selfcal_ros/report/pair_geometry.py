@@ -28,6 +28,7 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.planar_pairs import decompose_planar
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.report.observations import ObservationTable
 
 #: Pairs that turn by less than this, or come as close to half a turn, show no usable screw axis.
@@ -88,7 +89,7 @@ def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
         if len(first) > most_pairs else np.arange(len(first))
     pairs = np.stack([first[chosen], second[chosen]], axis=1)
     R, t = poses[:, :, :3], poses[:, :, 3]
-    centres = -np.einsum('vji,vj->vi', R, t)
+    centres = camera_centres(poses)
     a, b = pairs.T
     epipoles = np.stack([_seen(K, R[a], t[a], centres[b]), _seen(K, R[b], t[b], centres[a])],
                         axis=1)

@@ -19,6 +19,7 @@ from matplotlib.collections import LineCollection
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.report.style import Drawing, figure_of, GREY, INK, new_panel, SEQUENTIAL, styled
 
 #: More cameras than this hide each other.
@@ -48,7 +49,7 @@ def path_figure(result: Calibration) -> Drawing | None:
     if len(poses) < 2 or not np.isfinite(poses).all():
         return None
     R = poses[:, :, :3]
-    centres = -np.einsum('vji,vj->vi', R, poses[:, :, 3])
+    centres = camera_centres(poses)
     step = float(np.sqrt(np.mean(np.sum(np.diff(centres, axis=0)**2, axis=1))))
     if not step > 0:
         return None

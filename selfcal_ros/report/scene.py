@@ -23,6 +23,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.values.tracks import Tracks
 
 #: More points than this make the page large and not clearer.
@@ -64,8 +65,8 @@ class Scene:
 
     def as_json(self) -> str:
         """Return numbers alone, 32-bit and little-endian in base64: no text from outside."""
-        R, t = self.cam_from_world[:, :, :3], self.cam_from_world[:, :, 3]
-        centres = -np.einsum('vji,vj->vi', R, t)
+        R = self.cam_from_world[:, :, :3]
+        centres = camera_centres(self.cam_from_world)
         # centre, then the camera's axes: right, down, ahead
         cameras = np.concatenate([centres, R.reshape(-1, 9)], axis=1)
         return json.dumps({
@@ -133,7 +134,7 @@ def scene_of(result: Calibration, tracks: Tracks,
 
 def _near(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the indices of the points that are not so far away that they dwarf the path."""
-    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    centres = camera_centres(poses)
     middle = centres.mean(axis=0)
     extent = max(float(np.ptp(centres, axis=0).max()), 1e-9)
     return np.flatnonzero(np.linalg.norm(points - middle, axis=1) < FARTHEST * extent)
@@ -141,7 +142,7 @@ def _near(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def _object_upright(poses: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn the world so that the cameras see the object from above its z axis' plane."""
-    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    centres = camera_centres(poses)
     if np.mean(centres[:, 2]) >= np.mean(points[:, 2] if len(points) else 0):
         return poses, points
     # half a turn about x: a board's z axis often points away from who looks at it

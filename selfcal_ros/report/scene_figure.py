@@ -20,6 +20,7 @@ from collections.abc import Callable
 from matplotlib.collections import LineCollection
 import numpy as np
 
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.report.scene import Scene
 from selfcal_ros.report.style import (Drawing, figure_of, GREY, INK, new_panel, PALE, SEQUENTIAL,
                                       styled)
@@ -43,8 +44,8 @@ def scene_figure(scene: Scene) -> Drawing:
     Drawing
 
     """
-    R, t = scene.cam_from_world[:, :, :3], scene.cam_from_world[:, :, 3]
-    centres = -np.einsum('vji,vj->vi', R, t)
+    R = scene.cam_from_world[:, :, :3]
+    centres = camera_centres(scene.cam_from_world)
     low, high = centres.min(axis=0), centres.max(axis=0)
     if len(scene.points):
         low = np.minimum(low, np.percentile(scene.points, 6, axis=0))

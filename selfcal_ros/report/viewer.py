@@ -25,6 +25,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.report.open_frames import OpenFrames
 from selfcal_ros.values.output_files import check_writable
 from selfcal_ros.values.tracks import Tracks
@@ -86,9 +87,7 @@ def view(calibration: Calibration, tracks: Tracks, open_frames: OpenFrames | Non
     step = metres_a_step(calibration) or 1.0
     rr.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     rr.log('world/structure', rr.Points3D(scene.points, radii=0.03 * step), static=True)
-    centres = -np.einsum('vji,vj->vi', scene.cam_from_world[:, :, :3],
-                         scene.cam_from_world[:, :, 3])
-    rr.log('world/path', rr.LineStrips3D([centres]), static=True)
+    rr.log('world/path', rr.LineStrips3D([camera_centres(scene.cam_from_world)]), static=True)
     poses = dict(zip(scene.frames.tolist(), scene.cam_from_world))
     for number, image in _images(poses, open_frames):
         rr.set_time('image', sequence=number)

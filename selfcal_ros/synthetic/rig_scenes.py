@@ -23,6 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import observe, pitched_mount, planar_poses
 from selfcal_ros.synthetic.special_scenes import hand_held, placed_points
@@ -62,8 +63,7 @@ class RigScene:
     @property
     def step_m(self) -> float:
         """Root mean square distance between successive instants."""
-        path = self.rig_from_world
-        centres = np.einsum('vji,vj->vi', path[:, :, :3], -path[:, :, 3])
+        centres = camera_centres(self.rig_from_world)
         return float(np.sqrt(np.mean(np.sum(np.diff(centres, axis=0)**2, axis=1))))
 
 
@@ -85,8 +85,7 @@ def driven_path(views: int = 20, pitch_deg: float = 20.0) -> np.ndarray:
 
 def late_path(path: np.ndarray, share: float) -> np.ndarray:
     """Return poses (V, 3, 4) on a smooth path, a share of the time between two later."""
-    count, centres = np.arange(len(path)), np.einsum('vji,vj->vi', path[:, :, :3],
-                                                     -path[:, :, 3])
+    count, centres = np.arange(len(path)), camera_centres(path)
     turned = RotationSpline(count, Rotation.from_matrix(path[:, :, :3]))(
         count + share).as_matrix()
     moved = CubicSpline(count, centres)(count + share)

@@ -37,10 +37,11 @@ from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import camera_centres, IN_A_PLANE
+from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
 # Parallax: the misfit of homographies over that of epipolar geometry, in pairs of views.

@@ -30,6 +30,7 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.values.tracks import Tracks
 
 #: Steps on the spot, as a share of the longest one, and of the usual depth.
@@ -59,8 +60,8 @@ def frames_in_motion(scene: Reconstruction, tracks: Tracks) -> np.ndarray | None
         None where it turns on the spot nowhere, or too few others remain.
 
     """
-    R, t = scene.cam_from_world[:, :, :3], scene.cam_from_world[:, :, 3]
-    centres = -np.einsum('vji,vj->vi', R, t)
+    R = scene.cam_from_world[:, :, :3]
+    centres = camera_centres(scene.cam_from_world)
     seen = tracks.select(np.isin(tracks.frame, scene.frames) & np.isin(tracks.track, scene.tracks))
     view = np.searchsorted(scene.frames, seen.frame)
     points = scene.points[np.searchsorted(scene.tracks, seen.track)]

@@ -28,6 +28,7 @@ import itertools
 
 import numpy as np
 
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.rotation import nearest_rotation, rotation_matrix, rotation_vector
 
 #: Turns about other axes than the main one count where their squares sum to more than this share.
@@ -109,14 +110,9 @@ def _world_turn(R: np.ndarray, R_a: np.ndarray, R_b: np.ndarray) -> np.ndarray:
     return nearest_rotation(np.mean(np.swapaxes(R_a, 1, 2) @ R @ R_b, axis=0))
 
 
-def _centres(poses: np.ndarray) -> np.ndarray:
-    centres: np.ndarray = np.einsum('vji,vj->vi', poses[:, :, :3], -poses[:, :, 3])
-    return centres
-
-
 def _from_centres(first: np.ndarray, second: np.ndarray, R: np.ndarray) -> Alignment | None:
     """Solve c_a + R_aᵀ p = s Q c_b + q for p, s and q."""
-    R_a, c_a, c_b = first[:, :, :3], _centres(first), _centres(second)
+    R_a, c_a, c_b = first[:, :, :3], camera_centres(first), camera_centres(second)
     Q = _world_turn(R, R_a, second[:, :, :3])
     turned = c_b @ Q.T
     rows = np.zeros((len(c_a), 3, 7))
@@ -129,7 +125,7 @@ def _from_centres(first: np.ndarray, second: np.ndarray, R: np.ndarray) -> Align
 def _about_axis(first: np.ndarray, second: np.ndarray, R: np.ndarray, axis: np.ndarray,
                 ) -> Alignment | None:
     """Solve for the angle about the one axis (3,), in the first camera, and for p, s, q."""
-    R_a, c_a, c_b = first[:, :, :3], _centres(first), _centres(second)
+    R_a, c_a, c_b = first[:, :, :3], camera_centres(first), camera_centres(second)
     Q = _world_turn(R, R_a, second[:, :, :3])
     up = np.mean(np.swapaxes(R_a, 1, 2) @ axis, axis=0)
     up /= np.linalg.norm(up)

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.upgrade import affine_upgrade, metric_upgrade
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.values.tracks import Tracks
 
 #: Observations farther than so many sigmas from the prediction are not the point's.
@@ -139,12 +140,6 @@ def metres_a_step(calibration: Calibration) -> float | None:
     if not isinstance(mount, Mount) or not np.isfinite(mount.scale):
         return None
     return mount.scale
-
-
-def camera_centres(poses: np.ndarray) -> np.ndarray:
-    """Return the camera centres of [R | t], shape (V, 3)."""
-    centres: np.ndarray = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
-    return centres
 
 
 def world_and_scale(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]:

@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.calibration.reconstruction import PosePrecision
 from selfcal_ros.calibration.structure.metric_structure import middle_steps, world_and_scale
-from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.projective import camera_centres, cross_matrix
 from selfcal_ros.geometry.rotation import left_jacobian, pad
 
 
@@ -114,7 +114,7 @@ def in_the_world(poses: np.ndarray, turns: csr_array, moves: csr_array,
     views = len(poses)
     world, scale = world_and_scale(poses, planar)
     W = world[:, :3]
-    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    centres = camera_centres(poses)
     placed = scale * (centres - centres[0]) @ W.T
     # the world turns with the first view
     of_world = csr_array(-W) @ turns[:3]
