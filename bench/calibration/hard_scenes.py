@@ -37,6 +37,7 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES, NOISE_PX
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
@@ -56,7 +57,7 @@ def is_determined(sequence, noise_px: float) -> bool:
     poses = sequence.cam_from_world
     turn = np.swapaxes(poses[0, :, :3], 0, 1) @ poses[:, :, :3]
     planar = (np.allclose(turn[:, 2], [0, 0, 1], atol=1e-9)
-              and np.allclose(np.diff(_centres(poses)[:, 2]), 0, atol=1e-9))
+              and np.allclose(np.diff(camera_centres(poses)[:, 2]), 0, atol=1e-9))
     names = ('fx', 'cx', 'cy')
     try:
         if planar:
@@ -68,10 +69,6 @@ def is_determined(sequence, noise_px: float) -> bool:
         return False
     limits = observability_limits(sequence.camera)[[PARAMETER_NAMES.index(n) for n in names]]
     return bool(np.isfinite(sigma).all() and (sigma < DETERMINED * limits).all())
-
-
-def _centres(poses):
-    return -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
 
 
 def _general_bound(sequence, noise_px) -> np.ndarray:

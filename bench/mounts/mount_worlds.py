@@ -32,6 +32,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import in_the_world
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 
@@ -212,8 +213,7 @@ def true_scale(world: World, calibration: Calibration) -> float:
     Its unit is the middle step of the estimate, which the world's own poses measure.
     """
     from selfcal_ros.calibration.structure.metric_structure import middle_steps
-    poses = calibration.reconstructed.cam_from_world
-    estimate = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    estimate = camera_centres(calibration.reconstructed.cam_from_world)
     centre = world.position + world.rotation @ world.T_body_camera[:3, 3]
     return float(np.mean([np.linalg.norm(centre[k + 1] - centre[k])
                           for k in middle_steps(estimate)]))

@@ -30,6 +30,7 @@ import numpy as np
 from selfcal_ros import calibrate_rig, Camera, CameraFacts
 from selfcal_ros.features.at_instant import ImagesBeside
 from selfcal_ros.features.rig_extraction import extract_rig_tracks
+from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.recordings import agv_drive
 
@@ -66,8 +67,7 @@ def one_run(views: int, seed: int, every: int) -> str:
     seconds = f'{rendered - began:.0f} + {time.process_time() - rendered:.0f}'
     if not result:
         return f'| {seed} | {views} | {result.kind} | | | | {seconds} |'
-    pose, centres = result.poses['aside'], -np.einsum(
-        'vji,vj->vi', ahead.cam_from_world[:, :, :3], ahead.cam_from_world[:, :, 3])
+    pose, centres = result.poses['aside'], camera_centres(ahead.cam_from_world)
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     unit, way = float(np.sqrt(np.mean(steps**2))), steps.sum()
     turn = rotation_vector(pose.T_rig_camera[:3, :3] @ TURN.T)

@@ -24,6 +24,7 @@ from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
+from selfcal_ros.geometry.projective import camera_centres
 
 SIZE = (720, 576)
 STEP_DEG, MAX_DEG = 10.0, 0.1
@@ -74,7 +75,7 @@ def steps_deg(result) -> np.ndarray:
 def image_of_axis(result) -> np.ndarray:
     """Image line of the vertical that all cameras circle, from the path."""
     poses = result.reconstruction.cam_from_world
-    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])[:, :2]
+    centres = camera_centres(poses)[:, :2]
     system = np.column_stack([2 * centres, np.ones(len(centres))])
     middle = np.linalg.lstsq(system, (centres ** 2).sum(axis=1), rcond=None)[0][:2]
     ends = np.array([[*middle, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]])
