@@ -27,6 +27,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.detection import detect, Features, most_features
 from selfcal_ros.features.epipolar import sampler_seed
+from selfcal_ros.features.freed_memory import return_freed_memory
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, registered_positions
@@ -239,6 +240,7 @@ def _wide(album: _Album, report: Progress, max_keyframes: int, seed: int, findin
     matches, bend, static = match_pairs(features, propose_pairs(features), size, seed,
                                         lambda share: report('matching', share))
     features = [Features.at_places(one.xy, one.size_px) for one in features]
+    return_freed_memory()
     image, place, track, contradictory = link(features, matches)
     if not bend.straight:
         findings.append(Finding('division_model', distortion=float(bend.coefficients[0])))

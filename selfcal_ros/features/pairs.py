@@ -77,8 +77,10 @@ def _candidates(coarse: list[np.ndarray]) -> list[tuple[int, int]]:
     count = len(coarse)
     if count <= _FEW:
         return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    every = np.concatenate(coarse)
-    words = every[::max(1, len(every) // _WORDS)]
+    # without a copy of all, which takes as much again
+    first = np.cumsum([0, *map(len, coarse)])
+    step = max(1, int(first[-1]) // _WORDS)
+    words = np.concatenate([looks[-at % step::step] for at, looks in zip(first, coarse)])
     seen = np.zeros((count, len(words)), np.float32)
     for row, looks in zip(seen, coarse):
         if len(looks):

@@ -236,6 +236,46 @@ class ReducedSystem:
         influence: np.ndarray = -effect
         return influence
 
+    def of_views(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Eliminate the points from the equations of one further unknown of every view.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (N, m)
+            Derivative of every residual by that of its view, weighed as those are.
+
+        Returns
+        -------
+        coupling : ndarray, shape (n, V)
+            Products with the unknowns that are here.
+        own : ndarray, shape (V, V)
+        gradient : ndarray, shape (V,)
+
+        """
+        g, blocks, n = self._shared, self.blocks, len(self.gradient)
+        by_rest = blocks.sum_over_views(np.einsum('nmk,nm->nk', self.jac_rest, columns))
+        coupling = np.zeros((n, blocks.view_count))
+        coupling[:g] = by_rest[:, :g].T
+        each = np.arange(blocks.view_count)
+        coupling[g:].reshape(blocks.view_count, -1, blocks.view_count)[each, :, each] = (
+            by_rest[:, g:])
+        square = np.stack([np.sum(columns**2, axis=1), np.sum(columns * self.residual, axis=1)], 1)
+        diagonal, gradient = blocks.sum_over_views(square).T
+        own = np.diag(diagonal)
+        cross = blocks.sum_over_cells(np.einsum('nmk,nm->nk', self.jac_point, columns))
+        for group, (members, M, rows) in zip(blocks.groups, self._factors):
+            W = np.zeros((len(members), cross.shape[1], len(group.window)))
+            W[group.slot, :, group.column] = cross[group.rows]
+            W = (self.inverse_root[members] @ W).reshape(len(M), -1)
+            views = group.window if blocks.chain is None else blocks.chain.order[group.window]
+            product = M.T @ W
+            coupling[:g, views] -= product[:g]
+            coupling[np.arange(n)[rows][:, None], views] -= product[g:]
+            own[views[:, None], views] -= W.T @ W
+            gradient[views] -= W.T @ self.half_b[members].ravel()
+        return coupling, own, gradient
+
     def elimination(self, selection: csr_array) -> Elimination:
         """
         Tell by what the points follow the independent unknowns of the rest.

@@ -125,13 +125,19 @@ class PointBlocks:
             return [smaller for part in parts for smaller in split(part, sizes[1:])]
 
         sizes = (PART_POINTS,) if self.view_count < MANY_VIEWS else (PART_POINTS, SMALLER_PART)
-        self._groups: list[_Group] = []
+        self.groups: list[_Group] = []
         for start in range(0, self.point_count, GROUP_POINTS):
-            self._groups += split(group(order[start:start + GROUP_POINTS]), sizes)
+            self.groups += split(group(order[start:start + GROUP_POINTS]), sizes)
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
+
+    def sum_over_cells(self, values: np.ndarray) -> np.ndarray:
+        """Add rows (N, ...) of one point in one view: (c, ...), as the groups count them."""
+        if len(self._cells) == len(values):
+            return values
+        return np.add.reduceat(values, self._cells, axis=0)
 
     def sum_over_views(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, k) of each view: (V, k)."""
@@ -272,11 +278,10 @@ class PointBlocks:
             H, shared = self._products_of_few(jac_point, full)
             shared = shared[..., :g]
             cross = np.swapaxes(jac_point, 1, 2) @ full[:, :, g:]            # (N, p, v)
-            if len(self._cells) < len(cross):
-                cross = np.add.reduceat(cross, self._cells, axis=0)
+            cross = self.sum_over_cells(cross)
         else:
             H, shared = self._products(jac_point, full)
-        return UnreducedSystem(self, self._groups, matrix, residual, full, jac_point, H, shared,
+        return UnreducedSystem(self, self.groups, matrix, residual, full, jac_point, H, shared,
                                cross)
 
 

@@ -28,11 +28,11 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
+from selfcal_ros.features.freed_memory import return_freed_memory
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
-from selfcal_ros.pipeline.freed_memory import return_freed_memory
 from selfcal_ros.pipeline.long_policy import LongRecordings
 from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.robot.robot_source import RobotSource

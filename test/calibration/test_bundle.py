@@ -121,7 +121,7 @@ def test_points_seen_on_several_laps_are_eliminated_in_any_groups(monkeypatch):
     step = rng.standard_normal(len(plain.matrix))
     np.testing.assert_allclose(by_laps.point_steps(step), plain.point_steps(step), rtol=1e-6,
                                atol=1e-9)
-    work, plain_work = (sum(group.products for group in one._groups)
+    work, plain_work = (sum(group.products for group in one.groups)
                         for one in (blocks, plain_blocks))
     assert work < 0.6 * plain_work
 

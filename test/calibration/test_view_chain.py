@@ -96,6 +96,26 @@ def test_views_without_common_points_are_no_chain():
 
 
 @pytest.mark.parametrize('closed', [False, True])
+def test_a_further_unknown_of_every_view_is_asked_without_the_whole_matrix(monkeypatch, closed):
+    rng = np.random.default_rng(6)
+    further = rng.standard_normal((len(recording(closed)[0]), 2))
+    for system in systems(monkeypatch, closed):
+        J = system.jac_rest
+        whole = system.blocks.unreduced_rows(np.concatenate([J, further[:, :, None]], axis=2),
+                                             OF_VIEW + 1, system.jac_point,
+                                             system.residual).reduced()
+        places = SHARED + OF_VIEW + (OF_VIEW + 1) * np.arange(VIEWS)
+        rest = np.setdiff1d(np.arange(len(whole.matrix)), places)
+        wanted = whole.columns(places)
+        coupling, own, gradient = system.of_views(further)
+
+        scale = np.abs(wanted).max()
+        np.testing.assert_allclose(coupling, wanted[rest], atol=1e-12 * scale)
+        np.testing.assert_allclose(own, wanted[places], atol=1e-12 * scale)
+        np.testing.assert_allclose(gradient, whole.gradient[places], atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize('closed', [False, True])
 def test_the_matrix_is_the_dense_one(monkeypatch, closed):
     chained, dense = systems(monkeypatch, closed)
     rng = np.random.default_rng(1)

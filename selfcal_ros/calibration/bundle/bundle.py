@@ -16,7 +16,7 @@ Bundle adjustment: the last refinement and the covariance of every method.
 
 Levenberg-Marquardt with geodesic acceleration on the named unknowns of a product of blocks, of
 which one is eliminated. Facts, and what the blocks suppose, are measurements. The loss is Huber's.
-How a residual is weighed stands in `_root_weights`.
+How a residual is weighed stands in `root_weights`.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ class Bundle(Generic[StateT]):
         distance = lengths(seen.residual) / self.sigma_px
         return np.where(seen.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
-    def _root_weights(self, linearisation: Linearisation, robust: bool) -> np.ndarray:
+    def root_weights(self, linearisation: Linearisation, robust: bool = True) -> np.ndarray:
         """Return the root of every observation's weight, (N, 1): Huber's, over the noise."""
         distance = lengths(linearisation.residual) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
@@ -227,7 +227,7 @@ class Bundle(Generic[StateT]):
     def _weighed(self, linearisation: Linearisation, robust: bool = True,
                  ) -> tuple[UnreducedSystem, np.ndarray]:
         """Weigh a linearisation: its equations, and the roots of the weights (N, 1)."""
-        root = self._root_weights(linearisation, robust)
+        root = self.root_weights(linearisation, robust)
         wide = root[..., None]
         return self.blocks.unreduced(linearisation.shared * wide, linearisation.view * wide,
                                      linearisation.eliminated * wide,

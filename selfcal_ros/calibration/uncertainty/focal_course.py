@@ -14,10 +14,10 @@
 """
 Does the focal length vary? What an optimum says, by one linear step.
 
-The derivative by each view's focal length is appended to the normal equations of the optimum, and
-everything else is eliminated. What remains is a quadratic in the logs of the focal lengths. From
-it follow the best steady growth, and how probable random walks of several sizes are (type-II
-maximum likelihood; Bishop 2006, 3.5).
+The derivative by each view's focal length is appended to the normal equations of the optimum.
+Everything else is eliminated by the inverse of these that its covariance is. What remains is a
+quadratic in the logs of the focal lengths. From it follow the best steady growth, and how probable
+random walks of several sizes are (type-II maximum likelihood; Bishop 2006, 3.5).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.bundle import BEHIND_SIGMAS, Bundle
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
@@ -37,7 +36,6 @@ from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
 from selfcal_ros.geometry.robust_loss import huber_loss
 
 #: Least gain of log probability: half the square of four sigmas.
@@ -120,32 +118,27 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     """
     free = ZoomModel(instants)
     views = len(instants)
-    bundle = bundle_of(fit.observations, replace(fit.motion, zoom=free), fit.bundle.priors,
-                       fit.bundle.sigma_px)
+    # what the images say of magnifications is asked anew, beside all else
+    held = fit if fit.motion.zoom is None else replace(fit, bundle=bundle_of(
+        fit.observations, replace(fit.motion, zoom=None), fit.bundle.priors, fit.bundle.sigma_px))
     zoom = fit.state.zoom or Zoom.constant(views)
-    state = replace(fit.state, zoom=zoom)
-    system = bundle.normal_equations(state)
-    unknowns = bundle.unknowns
-    E = unknowns.selection
-    every = unknowns.of_views(VIEW_NAME)[:, 0]
-    of_zoom = np.isin(unknowns.members, every[:-1])
-    coupling, gradient = system.columns(every), system.gradient
-    factor = DampedFactor(system.matrix, system.diagonal, 0.0, csr_array(E[:, ~of_zoom]),
-                          overwrite=True)
-    # what eliminates the points takes as much again of a thousand views
-    del system
-    if not factor.usable:
+    try:
+        at_optimum = held.information
+    except np.linalg.LinAlgError:
         return None
-    # the last view's follows from the others
-    tied = E[:, of_zoom][every].toarray()
-    solved = factor.solve(coupling)
-    own = tied.T @ (coupling[every] - coupling.T @ solved) @ tied / variance_inflation
-    pull = tied.T @ (gradient[every] - solved.T @ gradient) / variance_inflation
-    # from log f of all views but the last to the steps between them, whose mean is zero
+    # a magnification about the principal point, of all that a view sees
+    slope = held.bundle.xy + held.linearisation.residual - held.state.lens.values[2:4]
+    system = at_optimum.system
+    coupling, own, pull = system.of_views(slope * held.bundle.root_weights(held.linearisation))
+    solved = at_optimum.covariance @ coupling / at_optimum.factor
+    own -= coupling.T @ solved
+    pull -= solved.T @ system.gradient
+    # from log f of all views to the steps between them, whose mean is zero
     level = np.tri(views, views - 1, -1)
     level -= level.mean(axis=0)
-    steps = level[:-1] * np.sqrt(replace(free, sigma=1.0).variances)
-    own, pull = steps.T @ own @ steps, steps.T @ pull
+    steps = level * np.sqrt(replace(free, sigma=1.0).variances)
+    own = steps.T @ own @ steps / variance_inflation
+    pull = steps.T @ pull / variance_inflation
     # about a constant focal length, not about that of the state
     there = np.diff(zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
     pull = pull - own @ there

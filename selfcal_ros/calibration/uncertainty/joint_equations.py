@@ -20,10 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.geometry.reduced_system import ReducedSystem
-from selfcal_ros.geometry.robust_loss import huber_weights
 
 
 @dataclass(frozen=True)
@@ -78,9 +76,7 @@ def joint_equations(fit: RobustFit, shared: Sequence[np.ndarray],
 
     """
     bundle, state, linearisation = fit.bundle, fit.state, fit.linearisation
-    distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
-    weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
-    root = np.sqrt(weight / variance_inflation)[:, None] / bundle.sigma_px
+    root = bundle.root_weights(linearisation) / np.sqrt(variance_inflation)
     # many columns: one copy, and weighed in place
     slopes = np.concatenate([linearisation.shared, *shared, linearisation.view, *of_views],
                             axis=2)
