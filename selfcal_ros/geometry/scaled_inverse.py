@@ -87,6 +87,31 @@ def scaled_pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-15) -> np.nd
     return inverse
 
 
+def squared_distance(deviation: np.ndarray, covariance: np.ndarray,
+                     tolerance: float = 1e-12) -> float:
+    """
+    Measure a deviation d by its covariance C: dᵀ C⁻¹ d, which is never negative.
+
+    Parameters
+    ----------
+    deviation : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+        It may be singular, and negative by rounding.
+    tolerance : float
+        Directions whose scaled eigenvalue is no more than this share of the largest tell nothing.
+
+    Returns
+    -------
+    float
+
+    """
+    scaled, scale = unit_diagonal(covariance)
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > tolerance * values[-1]
+    along = vectors[:, told].T @ (deviation / scale)
+    return float(np.sum(along**2 / values[told]))
+
+
 def least_scaled_eigenvalue(matrix: np.ndarray) -> float:
     """Return the least eigenvalue of a symmetric matrix (n, n) with ones on its diagonal."""
     return float(np.linalg.eigvalsh(unit_diagonal(matrix)[0])[0])

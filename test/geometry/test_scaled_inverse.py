@@ -16,7 +16,8 @@
 import numpy as np
 import pytest
 from selfcal_ros.geometry.scaled_inverse import (least_scaled_eigenvalue, scaled_inverse,
-                                                 scaled_pseudo_inverse, unit_diagonal)
+                                                 scaled_pseudo_inverse, squared_distance,
+                                                 unit_diagonal)
 
 UNITS = np.array([1e-9, 1.0, 1e8, 1e3])
 
@@ -51,6 +52,21 @@ def test_what_is_not_measured_has_no_part_in_the_pseudo_inverse(covariance):
                        rtol=1e-9, atol=0)
     with pytest.raises(np.linalg.LinAlgError):
         scaled_inverse(covariance)
+
+
+def test_a_distance_is_that_of_the_inverse_and_never_negative(covariance):
+    d = UNITS * [0.5, -2.0, 1.0, 3.0]
+    assert np.isclose(squared_distance(d, covariance), d @ scaled_inverse(covariance) @ d,
+                      rtol=1e-9)
+    # two unknowns whose difference nothing tells, and rounding to the wrong side
+    alike = np.eye(4)
+    alike[0, 1] = alike[1, 0] = 1 + 1e-13
+    apart, along = np.array([[1.0, -1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]])
+    assert apart @ np.linalg.solve(alike, apart) < 0
+    alike *= np.outer(UNITS, UNITS)
+    assert squared_distance(UNITS * apart, alike) == pytest.approx(0, abs=1e-9)
+    assert squared_distance(UNITS * along, alike) == pytest.approx(1)
+    assert squared_distance(np.zeros(4), alike) == 0
 
 
 def test_the_least_eigenvalue_tells_dependence_and_not_units(covariance):

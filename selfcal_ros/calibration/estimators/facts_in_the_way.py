@@ -36,6 +36,7 @@ from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.scaled_inverse import squared_distance
 
 
 def without_facts(facts: CameraFacts) -> CameraFacts | None:
@@ -77,7 +78,7 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
         sigma = np.sqrt(np.diag(covariance))
         distance = np.array([values[name] - priors[name].value for name in names])
         covariance += np.diag([priors[name].sigma**2 for name in names])
-        total = float(distance @ np.linalg.solve(covariance, distance))
+        total = squared_distance(distance, covariance)
         # what is known worse than facts are wrong may have any other cause
         if chi2_sf(total, len(names)) < CONTRADICTED and all(
                 one < PLAUSIBLE[name] * (1.0 if name == 'aspect' else fx)
@@ -131,7 +132,7 @@ def preferred_by_all(refusal: NoEstimate, fit: RobustFit, offered: Observations,
         covariance, _ = spread_of_unknowns(freed, places, size)
         values = freed.state.lens.values[places]
         distance = values - [entry['stated'] for entry in one['preferred']]
-        one['sigmas'] = float(np.sqrt(distance @ np.linalg.solve(covariance, distance)))
+        one['sigmas'] = float(np.sqrt(squared_distance(distance, covariance)))
         one['preferred'] = [
             {**entry, 'value': float(value), 'sigma': float(sigma)} for entry, value, sigma in zip(
                 one['preferred'], values, np.sqrt(np.diag(covariance)))]

@@ -39,6 +39,7 @@ from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf, f_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.scaled_inverse import squared_distance
 
 #: A fact is contradicted where what the images say would be an accident so rarely; what is an
 #: accident less often than the second is allowed for in the sigmas.
@@ -326,7 +327,7 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     stated = np.array([priors[name].value for name in tested.unknowns])
     distance = state.lens.values[places] - stated
     covariance += np.diag([priors[name].sigma**2 for name in tested.unknowns])
-    total = float(distance @ np.linalg.solve(covariance, distance))
+    total = squared_distance(distance, covariance)
     # a variance that a few stretches of views tell is known to as few degrees of freedom
     p_value = float(f_sf(total / len(places), len(places), SEGMENTS - 1)
                     if ratio > 1 else chi2_sf(total, len(places)))
