@@ -22,6 +22,7 @@ from selfcal_ros.calibration.bundle.motion import ROTATION
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 
 pytestmark = pytest.mark.skipif(not WORLDS.exists(),
                                 reason='needs ../shared/data and ../shared/world_cases.py')
@@ -178,3 +179,17 @@ def test_a_view_that_a_wrong_homography_leads_astray_is_found_again():
     assert np.bincount(observed.view).min() == 12
     for view in range(len(found.frames)):
         assert np.median(error_px[observed.view == view]) < 3
+
+
+def test_a_view_that_a_few_gross_errors_link_is_left_out():
+    """Refused after 99 s: two views of one and three right positions, of eight each."""
+    world, _ = everyday.build('hand that rests', 2103)
+    tracks = Tracks(world.frame, world.track, world.xy, world.size)
+    graph = build_view_graph(tracks, np.random.default_rng(0))
+    left_out = np.setdiff1d(tracks.frames, graph.frames)
+
+    assert left_out.tolist() == [12, 13]
+    # three that hang on another by eight matches, and see much of their own, stay
+    assert graph.frames[-3:].tolist() == [14, 15, 16]
+    result = world.calibrated(everyday.SQUARE)
+    assert result and world.away(result) < MAX_SIGMAS

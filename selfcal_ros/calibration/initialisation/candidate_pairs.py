@@ -30,9 +30,10 @@ from selfcal_ros.values.tracks import Tracks
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little, by themselves.
 MINIMUM_MATCHES = 12
-#: Between views that those leave unlinked: so many, if every one of them agrees. An eighth match
-#: may agree by chance with what seven determine; the adjustment of all views finds that out.
+#: Between views that those leave unlinked: so many, if every one of them agrees.
 FEWEST_MATCHES = 8
+#: Matches that determine epipolar geometry, and how probably a further one agrees by chance.
+DETERMINE, AGREES_BY_CHANCE = 7, 0.1
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
 RANSAC_MATCHES = 200
 #: A pair whose matches nearly all move less shows one image twice.
@@ -109,6 +110,21 @@ def candidate_pairs(rows: ObservationTable) -> np.ndarray:
 def least_agreeing(common: int) -> int:
     """Tell how many of the matches of a pair have to agree."""
     return min(max(common, FEWEST_MATCHES), MINIMUM_MATCHES)
+
+
+def is_more_than_chance(matches: int, right: float) -> bool:
+    """
+    Tell whether matches that all agree are more probably all right than some wrong by chance.
+
+    Parameters
+    ----------
+    matches : int
+    right : float
+        Share of the matches of other pairs that agree.
+
+    """
+    all_right = right**matches
+    return all_right > (1 - all_right) * AGREES_BY_CHANCE**(matches - DETERMINE)
 
 
 def components(pairs: ArrayLike, count: int) -> np.ndarray:

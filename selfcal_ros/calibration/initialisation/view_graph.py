@@ -23,8 +23,8 @@ from scipy.special import erf
 
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.initialisation.candidate_pairs import (
-    candidate_pairs, compared_pairs, ComparedPair, components, FEWEST_MATCHES, least_agreeing,
-    MINIMUM_MATCHES, ObservationTable, without_still)
+    candidate_pairs, compared_pairs, ComparedPair, components, FEWEST_MATCHES, is_more_than_chance,
+    least_agreeing, MINIMUM_MATCHES, ObservationTable, without_still)
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
 from selfcal_ros.calibration.initialisation.pair_lens import (choose_lens, homography_lens,
                                                               PairLens, Sample)
@@ -226,20 +226,32 @@ class _CheckedPairs:
 def _checked_pairs(tracks: Tracks, rows: ObservationTable, lens: PairLens,
                    matches: list[ComparedPair], all_F: np.ndarray, threshold_px: float,
                    ) -> _CheckedPairs:
-    """Hold pairs against all their matches, not only those that decided on their F (n, 3, 3)."""
+    """
+    Hold pairs against all their matches, not only those that decided on their F (n, 3, 3).
+
+    A view that only a few matches link is left out, where they more probably agree by chance.
+    """
     votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
     pairs, noise_px, counts = [], [], []
-    for (a, b, both, _), F in zip(matches, all_F):
-        rows_a, rows_b = rows.row[a, both], rows.row[b, both]
+    seen = [(rows.row[a, both], rows.row[b, both]) for a, b, both, _ in matches]
+    distances = [lens.distance(F, tracks.xy[rows_a], tracks.xy[rows_b])
+                 for F, (rows_a, rows_b) in zip(all_F, seen)]
+    inliers = [np.abs(distance) < threshold_px for distance in distances]
+    firm = [k for k, inlier in enumerate(inliers) if inlier.sum() >= MINIMUM_MATCHES]
+    linked = {view for k in firm for view in matches[k][:2]}
+    right = float(np.mean(np.concatenate([inliers[k] for k in firm] or [np.ones(1)])))
+    for (a, b, both, _), F, (rows_a, rows_b), distance, inlier in zip(
+            matches, all_F, seen, distances, inliers):
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        distance = lens.distance(F, xy_a, xy_b)
-        inlier = np.abs(distance) < threshold_px
         count = int(inlier.sum())
         if count < least_agreeing(len(both)):
             continue
-        for seen in (rows_a, rows_b):
-            used[seen] += 1
-            votes[seen] += inlier
+        # a view that has no other pair would rest on a few matches that only seem to agree
+        if not {a, b} <= linked and not is_more_than_chance(len(both), right):
+            continue
+        for row in (rows_a, rows_b):
+            used[row] += 1
+            votes[row] += inlier
         # F has seven degrees of freedom
         noise_px.append(robust_sigma(distance[inlier]) * np.sqrt(count / max(count - 7, 1)))
         counts.append(count)
