@@ -122,6 +122,10 @@ def is_more_than_chance(matches: int, right: float) -> bool:
     right : float
         Share of the matches of other pairs that agree.
 
+    Returns
+    -------
+    bool
+
     """
     all_right = right**matches
     return all_right > (1 - all_right) * AGREES_BY_CHANCE**(matches - DETERMINE)

@@ -15,7 +15,7 @@
 Does the focal length vary? What an optimum says, by one linear step.
 
 The derivative by each view's focal length is appended to the normal equations of the optimum.
-Everything else is eliminated by the inverse of these that its covariance is. What remains is a
+Everything else is eliminated by its covariance, which is the inverse of these. What remains is a
 quadratic in the logs of the focal lengths. From it follow the best steady growth, and how probable
 random walks of several sizes are (type-II maximum likelihood; Bishop 2006, 3.5).
 """
@@ -118,7 +118,7 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     """
     free = ZoomModel(instants)
     views = len(instants)
-    # what the images say of magnifications is asked anew, beside all else
+    # a zoom that the fit has is held: what is asked for is not eliminated with the rest
     held = fit if fit.motion.zoom is None else replace(fit, bundle=bundle_of(
         fit.observations, replace(fit.motion, zoom=None), fit.bundle.priors, fit.bundle.sigma_px))
     zoom = fit.state.zoom or Zoom.constant(views)
