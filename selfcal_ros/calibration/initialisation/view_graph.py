@@ -226,30 +226,20 @@ class _CheckedPairs:
 def _checked_pairs(tracks: Tracks, rows: ObservationTable, lens: PairLens,
                    matches: list[ComparedPair], all_F: np.ndarray, threshold_px: float,
                    ) -> _CheckedPairs:
-    """
-    Hold pairs against all their matches, not only those that decided on their F (n, 3, 3).
-
-    A view that only a few matches link is left out, where they more probably agree by chance.
-    """
+    """Hold pairs against all their matches, not only those that decided on their F (n, 3, 3)."""
     votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
     pairs, noise_px, counts = [], [], []
     seen = [(rows.row[a, both], rows.row[b, both]) for a, b, both, _ in matches]
-    distances = [lens.distance(F, tracks.xy[rows_a], tracks.xy[rows_b])
-                 for F, (rows_a, rows_b) in zip(all_F, seen)]
+    samples = [(tracks.xy[rows_a], tracks.xy[rows_b]) for rows_a, rows_b in seen]
+    distances = [lens.distance(F, *xy) for F, xy in zip(all_F, samples)]
     inliers = [np.abs(distance) < threshold_px for distance in distances]
-    firm = [k for k, inlier in enumerate(inliers) if inlier.sum() >= MINIMUM_MATCHES]
-    linked = {view for k in firm for view in matches[k][:2]}
-    right = float(np.mean(np.concatenate([inliers[k] for k in firm] or [np.ones(1)])))
-    for (a, b, both, _), F, (rows_a, rows_b), distance, inlier in zip(
-            matches, all_F, seen, distances, inliers):
-        xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
+    by_chance = _linked_by_chance(matches, inliers)
+    for k, (F, distance, inlier) in enumerate(zip(all_F, distances, inliers)):
+        (a, b, both, _), (xy_a, xy_b) = matches[k], samples[k]
         count = int(inlier.sum())
-        if count < least_agreeing(len(both)):
+        if count < least_agreeing(len(both)) or k in by_chance:
             continue
-        # a view that has no other pair would rest on a few matches that only seem to agree
-        if not {a, b} <= linked and not is_more_than_chance(len(both), right):
-            continue
-        for row in (rows_a, rows_b):
+        for row in seen[k]:
             used[row] += 1
             votes[row] += inlier
         # F has seven degrees of freedom
@@ -257,6 +247,19 @@ def _checked_pairs(tracks: Tracks, rows: ObservationTable, lens: PairLens,
         counts.append(count)
         pairs.append(PairGeometry(a, b, F, both[inlier], xy_a[inlier], xy_b[inlier]))
     return _CheckedPairs(pairs, np.array(noise_px), np.array(counts), used, votes)
+
+
+def _linked_by_chance(matches: list[ComparedPair], inliers: list[np.ndarray]) -> set[int]:
+    """
+    Find the pairs that link a view which has no other, and whose matches agree by chance.
+
+    Such a view would rest on a few matches that only seem to agree.
+    """
+    firm = [k for k, inlier in enumerate(inliers) if inlier.sum() >= MINIMUM_MATCHES]
+    linked = {view for k in firm for view in matches[k][:2]}
+    right = float(np.mean(np.concatenate([inliers[k] for k in firm] or [np.ones(1)])))
+    return {k for k, pair in enumerate(matches) if not {pair.a, pair.b} <= linked
+            and not is_more_than_chance(len(pair.both), right)}
 
 
 def _largest_connected(tracks: Tracks, rows: ObservationTable, pairs: list[PairGeometry],

@@ -116,8 +116,8 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
         None where the normal equations cannot be solved.
 
     """
-    free = ZoomModel(instants)
-    views = len(instants)
+    model, views = ZoomModel(instants, 1.0), len(instants)
+    gaps = np.sqrt(model.variances)
     # a zoom that the fit has is held: what is asked for is not eliminated with the rest
     held = fit if fit.motion.zoom is None else replace(fit, bundle=bundle_of(
         fit.observations, replace(fit.motion, zoom=None), fit.bundle.priors, fit.bundle.sigma_px))
@@ -136,13 +136,13 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     # from log f of all views to the steps between them, whose mean is zero
     level = np.tri(views, views - 1, -1)
     level -= level.mean(axis=0)
-    steps = level * np.sqrt(replace(free, sigma=1.0).variances)
+    steps = level * gaps
     own = steps.T @ own @ steps / variance_inflation
     pull = steps.T @ pull / variance_inflation
     # about a constant focal length, not about that of the state
-    there = np.diff(zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
+    there = np.diff(zoom.log_focal) / gaps
     pull = pull - own @ there
-    steady = np.diff(free.course) / np.sqrt(replace(free, sigma=1.0).variances)
+    steady = np.diff(model.course) / gaps
     rate, information, along = _steady_growth(own, pull, steady)
     walk_gain, walk_sigma = _best_walk(own, pull)
     beyond_gain, beyond_sigma = _best_walk(own - np.outer(along, along),

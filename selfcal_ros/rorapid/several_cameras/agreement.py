@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.projective import cross_matrix
-from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse, squared_distance
 
 #: Memory of the sums; images that count as one, for their errors are alike.
 _MEMORY, _ALIKE = 0.97, 4.0
@@ -170,7 +170,7 @@ class Agreement:
         score, lever = self._score[which] / _ALIKE, self._newest[which]
         difference = lever @ mean
         spread = lever @ covariance @ lever.T + self._misplaced[which]
-        square = float(difference @ scaled_pseudo_inverse(spread, 1e-9) @ difference)
+        square = squared_distance(difference, spread, 1e-9)
         known, pulled = self._size[which] / _ALIKE
         size = None
         total = float(score @ mean)
