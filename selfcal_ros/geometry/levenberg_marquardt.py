@@ -41,7 +41,7 @@ _Shared = TypeVar('_Shared')
 
 
 # a step that is tried may lead to numbers that are none; its cost is infinite then
-@np.errstate(over='ignore', invalid='ignore')
+@np.errstate(divide='ignore', over='ignore', invalid='ignore')
 def minimise(state: _State, evaluate: Callable[[_State], tuple[float, _Seen]],
              linearise: Callable[[_State, _Seen], _Shared],
              attempt: Callable[[_State, _Shared, float], tuple[_State | None, float]],

@@ -302,7 +302,8 @@ def _refusal(optimum: _Optimum) -> NoEstimate | None:
             refusal = refusal if verdict.cause is None else verdict.cause
             return refusal.saying(**{
                 'status': optimum.status, 'facts': optimum.problem.facts,
-                'left_px': float(optimum.fit.bundle.sigma_px), **refusal.values,
+                'left_px': float(optimum.fit.bundle.sigma_px),
+                'zooms': optimum.fit.motion.zoom is not None, **refusal.values,
                 'motion': optimum.path.motion})
     return None
 

@@ -46,7 +46,10 @@ ALIKE = 2.0
 #: The usual shift is at least this share of the root mean square: few images that are torn, or
 #: turned over, are no stabiliser's (Gaussian shifts: 0.83).
 SPREAD = 0.4
-#: Standard deviations that are tried, pixels: a stabiliser crops a tenth of an image at most.
+#: A stabiliser crops a tenth of an image at most, a twentieth at each side. Images that seem to be
+#: shifted further (root mean square) have turned, or were read in turn.
+LARGEST = 0.05
+#: Standard deviations that are tried, pixels.
 SIZES_PX = 0.02 * 2.0**(0.5 * np.arange(24))
 
 
@@ -93,6 +96,18 @@ def are_shifts(fit: RobustFit) -> bool:
     return bool(abs(beyond) < np.log(ALIKE)) and _spread(fit) > SPREAD
 
 
+def are_within_crop(fit: RobustFit, size: tuple[int, int]) -> bool:
+    """Tell whether shifts, once it is known how rows are read, leave what a stabiliser crops."""
+    return shift_px(fit) < LARGEST * max(size)
+
+
+def shift_px(fit: RobustFit) -> float:
+    """Return the root mean square shift of an image, pixels."""
+    shift = fit.state.shift
+    assert shift is not None
+    return float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
+
+
 def shift_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
     """
     Tell how far images are shifted, pixels, and how sure that is; see `evidence_of_views`.
@@ -111,10 +126,9 @@ def shift_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]
 
 def shift_findings(fit: RobustFit) -> tuple[Finding, ...]:
     """Say how far images are shifted, root mean square; nothing where they are not."""
-    shift = fit.state.shift
-    if fit.motion.shift is None or shift is None:
+    if fit.motion.shift is None:
         return ()
-    return (Finding('images_shifted', shift_px=float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))),)
+    return (Finding('images_shifted', shift_px=shift_px(fit)),)
 
 
 def _shifted(fit: RobustFit, observations: Observations, sigma_px: float) -> RobustFit | None:

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.estimators.other_starts import likeliest_start
 from selfcal_ros.calibration.estimators.parted_tracks import (calibrate_coherent_tracks,
                                                               MANY_REJECTED)
 from selfcal_ros.calibration.estimators.zoom_selection import zooming
+from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
@@ -74,6 +75,8 @@ class MotionsTried:
         Kinds of motion to try, the most constrained first.
     motion : MotionModel
         That was tried last.
+    may_be_flat : bool
+        Nearly all points may be in one plane.
     found : Calibration or NoEstimate, optional
         The best so far; there is one once the kinds of motion were tried.
     ill_parted : bool
@@ -88,6 +91,7 @@ class MotionsTried:
     proposals: list[Camera]
     motions: tuple[MotionModel, ...]
     motion: MotionModel
+    may_be_flat: bool = False
     found: Calibration | NoEstimate | None = None
     ill_parted: bool = False
     answer: Calibration | NoEstimate | None = None
@@ -132,6 +136,11 @@ def _is_unexplained(so_far: MotionsTried) -> bool:
     return so_far.refused_as(*UNEXPLAINED)
 
 
+def _is_unexplained_and_may_be_flat(so_far: MotionsTried) -> bool:
+    """Tell whether no motion explains views of little parallax."""
+    return so_far.may_be_flat and _is_unexplained(so_far)
+
+
 def _may_show_what_moves(so_far: MotionsTried) -> bool:
     """Tell whether things that move may be why there is no calibration, or a poor one."""
     return so_far.refused_as(*MAY_BE_MOVING) or so_far.ill_parted
@@ -151,6 +160,15 @@ def _try_simplest_motion(so_far: MotionsTried) -> MotionsTried:
     found, motion = _simplest_motion(so_far)
     return replace(so_far, found=found, motion=motion,
                    ill_parted=_is_ill_parted(found, so_far.problem))
+
+
+def _begin_from_plane(so_far: MotionsTried) -> MotionsTried:
+    """Begin as over points in one plane; it stays as it was where that explains nothing."""
+    problem, graph = so_far.problem, so_far.graph
+    plane = FlatScene.of(graph.tracks, graph.frames, graph.lens)
+    over = _try_simplest_motion(replace(so_far, problem=replace(problem, flat=plane),
+                                        proposals=[]))
+    return over if over.found else so_far
 
 
 def _begin_elsewhere(so_far: MotionsTried) -> MotionsTried:
@@ -210,6 +228,9 @@ def _answered(so_far: MotionsTried) -> Calibration | NoEstimate | None:
 ATTEMPTS: tuple[Attempt[MotionsTried], ...] = (
     # First, since all others mend what this leaves open.
     Attempt('kinds of motion', tried_when=always, make=_try_simplest_motion),
+    # Before anything is blamed: fundamental matrices of nearly a plane start none.
+    Attempt('nearly a plane', tried_when=_is_unexplained_and_may_be_flat,
+            make=_begin_from_plane),
     # At once where nothing seems to move: what follows compares with the best of this motion.
     # Else it waits until what moves was parted, as that bends every start.
     Attempt('other focal lengths', tried_when=_was_found, make=_begin_elsewhere),
@@ -236,8 +257,8 @@ ATTEMPTS: tuple[Attempt[MotionsTried], ...] = (
 
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                           proposals: list[Camera], motions: tuple[MotionModel, ...],
-                          flat: bool = False, at_once: bool = False,
-                          is_weak: bool = False) -> Calibration | NoEstimate:
+                          flat: bool = False, at_once: bool = False, is_weak: bool = False,
+                          may_be_flat: bool = False) -> Calibration | NoEstimate:
     """
     Calibrate from planar or general motion.
 
@@ -259,6 +280,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         The views are of one instant, as objects in one image are: nothing varies over time.
     is_weak : bool
         Suppose that the translations are small beside the rotations.
+    may_be_flat : bool
+        Begin as over one plane, too, where nothing else explains the views.
 
     Returns
     -------
@@ -270,7 +293,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return problem
     problem = replace(problem, is_weak=is_weak, supposes_plane=GENERAL in motions)
     accepted, so_far = first_accepted(ATTEMPTS, MotionsTried(problem, graph, proposals, motions,
-                                                             motions[0]))
+                                                             motions[0], may_be_flat))
     return so_far.best if accepted is None else accepted
 
 

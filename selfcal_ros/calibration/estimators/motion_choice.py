@@ -28,7 +28,6 @@ import numpy as np
 from selfcal_ros.calibration.estimators.attempts import always, Attempt, first_accepted
 from selfcal_ros.calibration.estimators.moving_camera import (MAX_NOISE_OF_ROTATION, MovingCamera,
                                                               Turn)
-from selfcal_ros.calibration.estimators.one_motion import UNEXPLAINED
 from selfcal_ros.calibration.estimators.pivot import left_by_turns
 from selfcal_ros.calibration.estimators.rotation import RotationFit
 from selfcal_ros.calibration.estimators.sliding_images import LONG
@@ -101,6 +100,11 @@ class MotionsSeen:
         rotations = self.rotations
         return isinstance(rotations, RotationFit) and self.leaves_little(rotations.left_px)
 
+    @property
+    def may_be_flat(self) -> bool:
+        """Tell whether little parallax shows, and no plane was tried."""
+        return self.case.may_turn and self.plane is None
+
     def leaves_little(self, left_px: float) -> bool:
         """Tell whether a turn about a point may explain what rotations leave."""
         assert isinstance(self.rotations, RotationFit)
@@ -142,13 +146,6 @@ def _is_hardly_near_turn(so_far: MotionsSeen) -> bool:
 def _may_be_plane(so_far: MotionsSeen) -> bool:
     """Tell whether little parallax shows, and not for want of translations."""
     return so_far.case.may_turn and not so_far.is_near_turn
-
-
-def _may_be_nearly_plane(so_far: MotionsSeen) -> bool:
-    """Tell whether no path explains views of little parallax, and no plane was tried."""
-    path = so_far.best_path
-    return (isinstance(path, NoEstimate) and path.kind in UNEXPLAINED and so_far.case.may_turn
-            and so_far.plane is None)
 
 
 def _may_turn_despite_parallax(so_far: MotionsSeen) -> bool:
@@ -200,12 +197,14 @@ def _try_path_before_turns(so_far: MotionsSeen) -> MotionsSeen:
     """Calibrate from a path, while what rotations leave is known with a simple lens alone."""
     assert isinstance(so_far.rotations, RotationFit)
     near = so_far.leaves_little(so_far.rotations.start_px)
-    return replace(so_far, path=so_far.case.path(is_weak=near))
+    return replace(so_far, path=so_far.case.path(is_weak=near, may_be_flat=so_far.may_be_flat))
 
 
 def _try_path(so_far: MotionsSeen) -> MotionsSeen:
     case = so_far.case
-    path = case.path(is_weak=so_far.is_near_turn) if so_far.path is None else so_far.path
+    path = so_far.path
+    if path is None:
+        path = case.path(is_weak=so_far.is_near_turn, may_be_flat=so_far.may_be_flat)
     return replace(so_far, path=case.unless_like_turns(path, so_far.rotations))
 
 
@@ -218,12 +217,6 @@ def _try_one_plane(so_far: MotionsSeen) -> MotionsSeen:
     """Calibrate from the tracks of one plane, where there is one."""
     in_plane = so_far.case.in_plane
     return replace(so_far, plane=None if in_plane is None else so_far.case.over_a_plane(in_plane))
-
-
-def _try_all_in_plane(so_far: MotionsSeen) -> MotionsSeen:
-    """Suppose that all tracks are in a plane; it is a path where that succeeds."""
-    plane = so_far.case.over_a_plane(so_far.case.graph)
-    return replace(so_far, plane=plane, path=plane if plane else so_far.path)
 
 
 def _try_turn_despite_parallax(so_far: MotionsSeen) -> MotionsSeen:
@@ -336,8 +329,6 @@ ATTEMPTS: tuple[Attempt[MotionsSeen], ...] = (
     # All simpler motions were tried that little parallax asks for. One plane that fits as well,
     # and leaves the camera open, is believed: the path owes its camera to the noise.
     Attempt('path', tried_when=always, make=_try_path, accepted=_plane_that_leaves_open),
-    # After the path: fundamental matrices of nearly a plane start none.
-    Attempt('nearly a plane', tried_when=_may_be_nearly_plane, make=_try_all_in_plane),
     # After the path, whose weakness asks for it: what pairs show beside a homography was no
     # parallax.
     Attempt('turn despite parallax', tried_when=_may_turn_despite_parallax,

@@ -180,10 +180,11 @@ class MovingCamera:
         return (judge_rotations(rotations, may_miss=True) if isinstance(rotations, RotationFit)
                 else rotations)
 
-    def path(self, is_weak: bool) -> Calibration | NoEstimate:
-        """Calibrate from a translating camera."""
+    def path(self, is_weak: bool, may_be_flat: bool = False) -> Calibration | NoEstimate:
+        """Calibrate from a translating camera; see `calibrate_from_motion`."""
         return calibrate_from_motion(self.graph, self.size, self.facts, self.proposals,
-                                     MOTION_MODELS[self.motion], is_weak=is_weak)
+                                     MOTION_MODELS[self.motion], is_weak=is_weak,
+                                     may_be_flat=may_be_flat)
 
     def over_a_plane(self, graph: ViewGraph) -> Calibration | NoEstimate:
         """Calibrate from a path over points in one plane."""

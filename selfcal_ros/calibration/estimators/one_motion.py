@@ -32,7 +32,8 @@ from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
 from selfcal_ros.calibration.estimators.facts_in_the_way import preferred_by_all
-from selfcal_ros.calibration.estimators.image_shift_choice import (LEFT_AT_FIRST,
+from selfcal_ros.calibration.estimators.image_shift_choice import (are_within_crop,
+                                                                   LEFT_AT_FIRST,
                                                                    LEFT_AT_LAST,
                                                                    LEFT_BESIDE_ROWS,
                                                                    with_image_shifts)
@@ -140,7 +141,8 @@ class OneMotion:
         if not result and result.kind in UNEXPLAINED and self.window.turns_round():
             few = replace(self, window_views=ROUND_WINDOWS[0]).result()
             result = few or result
-        if self._may_zoom(self.problem) and not result and result.kind in UNEXPLAINED:
+        if (self._may_zoom(self.problem) and not result and result.kind in UNEXPLAINED
+                and not result.values.get('zooms', False)):
             zoomed = self._zooming().result()
             result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
         return result
@@ -182,7 +184,8 @@ class OneMotion:
         if shifted is None:
             return None
         shutter = choose_shutter(shifted, self.medium, self.window.facts, self.window.size)
-        if shutter.fit.bundle.sigma_px > most * fit.bundle.sigma_px:
+        if (shutter.fit.bundle.sigma_px > most * fit.bundle.sigma_px
+                or not are_within_crop(shutter.fit, self.window.size)):
             return None
         return self._from(shifted, shutter, None) or None
 

@@ -83,7 +83,8 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     fit, (sigma, gain) = read[best], evidence[best]
     if gain <= LEAST_GAIN:
         return decision
-    found, most_px = None, CLEARLY_LESS * left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
+    left_px = left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
+    found, most_px = None, left_px
     for _ in range(ROUNDS):
         moving = _moving(fit, observations, sigma)
         if moving is None or moving.bundle.sigma_px > most_px or not _is_own(moving):
@@ -93,8 +94,10 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
         sigma = _size_after(fit)
         if abs(np.log(sigma / before)) < SETTLED:
             break
-    return decision if found is None else ShutterDecision(
-        fit, (Finding('rows_by_view', share=found),))
+    # with the size that the fit found: that of the linear step may be too small by half
+    if found is None or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
+        return decision
+    return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
 
 
 def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:

@@ -37,7 +37,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_CHOOSE, TO_GO_ON
-from selfcal_ros.calibration.estimators.image_shift_choice import (LEFT_AT_LAST,
+from selfcal_ros.calibration.estimators.image_shift_choice import (are_within_crop,
+                                                                   LEFT_AT_LAST,
                                                                    with_image_shifts)
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -190,7 +191,7 @@ def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rotatio
     if mixed is not None:
         return mixed
     shifted = with_image_shifts(shutter.fit, shutter.fit, medium, window, LEFT_AT_LAST)
-    if shifted is not None:
+    if shifted is not None and are_within_crop(shifted, window.size):
         shutter = replace(shutter, fit=shifted)
     elif contradicted(shutter.fit, window):
         problem, window = zooming(problem), zooming(window)

@@ -41,7 +41,8 @@ from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE_ROUGHLY, TO_MEA
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
                                                            too_wide, unchecked)
-from selfcal_ros.calibration.estimators.image_shift_choice import (are_shifts, LEAST_GAIN,
+from selfcal_ros.calibration.estimators.image_shift_choice import (are_shifts,
+                                                                   are_within_crop, LEAST_GAIN,
                                                                    LEFT_AT_LAST,
                                                                    LEFT_BESIDE_ROWS,
                                                                    shift_evidence,
@@ -158,7 +159,8 @@ class RotationFit:
                                                              shift=shifts(sigma_px)))
         # rows that are read in turn look like shifts until they are known to be
         found = self.decided(shifted.fit).fit
-        return shifted if found.bundle.sigma_px < limit_px and are_shifts(found) else None
+        are_found = are_shifts(found) and are_within_crop(found, problem.size)
+        return shifted if found.bundle.sigma_px < limit_px and are_found else None
 
     def decided(self, fit: RobustFit) -> ShutterDecision:
         """Tell how rows are read; in turn they leave more than rotations do."""
