@@ -18,21 +18,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.bundle.clock import Clock
+from selfcal_ros.calibration.bundle.clock import Clock, STENCIL
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
-from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
+from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
-from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts, usual_motion
+from selfcal_ros.calibration.bundle.shutter import (row_shifts, RowShifts, share_foreseen,
+                                                    usual_motion)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 READOUT_S, STEP_S, VIEWS = 0.025, 1.1, 12
+OWN = OwnRows.supposed(0.1, STENCIL)
 
 
 def far_apart(kind, seed, readout_s=READOUT_S):
@@ -75,14 +77,14 @@ def waved():
 
 def test_rows_are_displaced_by_the_motion_of_their_own_view(waved):
     state, blocks, clock, still, seen = waved
-    found = row_shifts(state, blocks, seen, clock, own_sigma=0.1)
+    found = row_shifts(state, blocks, seen, clock, own=OWN)
 
     assert np.abs(found.shift).max() > 3
     # what remains is that the motion changes while the image is read
     np.testing.assert_allclose(found.shift, seen - still, atol=0.2)
     step = 1e-3 * np.random.default_rng(1).standard_normal(state.row_motion.shape)
     ahead, behind = (row_shifts(replace(state, row_motion=state.row_motion + sign * step), blocks,
-                                seen, clock, own_sigma=0.1).shift for sign in (1, -1))
+                                seen, clock, own=OWN).shift for sign in (1, -1))
     slope = found.own.beyond(state.row_motion + step, blocks.view)
     np.testing.assert_allclose(slope, (ahead - behind) / 2, atol=1e-5 * np.abs(slope).max())
 
@@ -95,7 +97,7 @@ def test_what_is_supposed_of_the_motion_is_one_quadratic(waved):
     order = np.lexsort((view, point))
     observations = Observations(view[order], point[order], np.tile(seen, (2, 1))[order],
                                 np.arange(blocks.point_count), clock)
-    own = row_shifts(state, blocks, seen, clock, own_sigma=0.05).own
+    own = row_shifts(state, blocks, seen, clock, own=OwnRows.supposed(0.05, STENCIL)).own
     offered = observations.read_like(replace(RowShifts.none(1, Prior(0.0, 0.0)), own=own))
     bundle = bundle_of(offered.displaced(state), GENERAL, priors_from_facts(SQUARE), 0.2)
     unknowns = bundle.unknowns
@@ -114,6 +116,16 @@ def test_what_is_supposed_of_the_motion_is_one_quadratic(waved):
     # a mean over the views is as uncertain as each of them is about it
     one = np.linalg.inv(matrix[np.ix_(places[:, 0], places[:, 0])])
     np.testing.assert_allclose(one, 0.05**2 * (np.eye(VIEWS) + 1), rtol=1e-9)
+
+
+def test_a_straight_flight_is_foreseen_and_its_shaking_is_not():
+    rng, times = np.random.default_rng(4), np.sort(np.random.default_rng(5).uniform(0, 60, 60))
+    R = rotation_matrix(0.05 * rng.standard_normal((60, 3)))
+    centre = np.column_stack([3.0 * times, rng.normal(0, 0.1, 60), np.full(60, 45.0)])
+    path = AxisPath.of_poses(np.eye(3), np.concatenate([R, -R @ centre[..., None]], axis=2))
+    share = share_foreseen(path, times)
+
+    assert share[:3].max() < 0.2 and 0.99 < share[3] <= 1 and share[4] < 0.2
 
 
 @pytest.mark.parametrize('kind, seed', [(hand, 0), (hand, 2), (drive, 0)])

@@ -172,7 +172,7 @@ class Observations:
             return self
         blocks, own = PointBlocks(self.point, self.view), self.shutter.own
         renewed = (row_shifts(state, blocks, self.xy, self.clock, self.neighbours) if own is None
-                   else row_shifts(state, blocks, self.xy, self.clock, None, own.near, own.sigma))
+                   else row_shifts(state, blocks, self.xy, self.clock, own=own))
         return replace(self, shutter=replace(renewed, known=self.shutter.known))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:

@@ -166,9 +166,40 @@ def usual_motion(path: AxisPath, times: np.ndarray) -> np.ndarray:
     return np.repeat(size, 3)
 
 
+def share_foreseen(path: AxisPath, times: np.ndarray) -> np.ndarray:
+    """
+    Tell how far the motion after a view is that before it, along each axis.
+
+    A drone that flies straight and shakes has its way foreseen, and none of its turns. Whatever
+    few views say of such turns would hide by how much all rows are late.
+
+    Parameters
+    ----------
+    path : AxisPath
+    times : ndarray, shape (V,)
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Of turns (3) and moves (3) in the frame of the view: the correlation of both, about zero;
+        zero where it is negative.
+
+    """
+    R, C = path.rotations(), path.centres()
+    interval = np.diff(times)[:, None]
+    turn = rotation_vector(R[1:] @ np.swapaxes(R[:-1], 1, 2)) / interval
+    move = np.diff(C, axis=0) / interval
+    # of the views in between, both in the frame of that view
+    before, after = (np.concatenate([turn[some], np.einsum('vij,vj->vi', R[1:-1], move[some])],
+                                    axis=1) for some in (slice(None, -1), slice(1, None)))
+    size = np.sqrt((before**2).sum(axis=0) * (after**2).sum(axis=0))
+    share: np.ndarray = np.maximum((before * after).sum(axis=0), 0) / np.maximum(size, 1e-300)
+    return share
+
+
 def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
                neighbours: np.ndarray | None = None, most: int = STENCIL,
-               own_sigma: float | None = None) -> RowShifts:
+               own: OwnRows | None = None) -> RowShifts:
     """
     Displace every observation by the motion of the camera until its row is read.
 
@@ -184,17 +215,20 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         Of a video; see `motion_from_neighbours`.
     most : int
         Views that tell how the camera moves at one of them.
-    own_sigma : float, optional
-        Of `OwnRows`, where each view has a motion of its own, too.
+    own : OwnRows, optional
+        What is supposed where each view has a motion of its own, too; it says how many views
+        tell.
 
     Returns
     -------
     RowShifts
 
     """
-    motion = local_motion(state.path, clock.times, most)
-    if own_sigma is not None and most == FAR_APART:
+    motion = local_motion(state.path, clock.times, most if own is None else own.near)
+    if own is not None and own.near == FAR_APART:
         motion[1:] = 0
+        if own.foreseen:
+            motion[0] *= share_foreseen(state.path, clock.times)
     if neighbours is not None:
         motion = motion_from_neighbours(state, blocks, xy, neighbours, clock, motion)
     view, path = blocks.view, state.path
@@ -204,7 +238,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     velocity, acceleration, jerk = motion[:, view]
     rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
     moved = tau * (velocity + tau * (0.5 * acceleration + tau / 6 * jerk))
-    if own_sigma is not None:
+    if own is not None:
         usual = usual_motion(path, clock.times)
         values = (np.zeros((len(clock.times), 6)) if state.row_motion is None
                   else state.row_motion)
@@ -223,15 +257,14 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         lost = ~(np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.lines)
         too_fast = ~(np.abs(slope).max(axis=1) < FASTEST * clock.lines)
     # where a view moves by itself, what its neighbours say wildly of it says nothing of the shift
-    lost |= too_fast & (own_sigma is None)
+    lost |= too_fast & (own is None)
     shift[lost], slope[lost | too_fast] = 0, 0
-    own = None
-    if own_sigma is not None:
+    if own is not None:
         by_turn = crossed(there, by_there) @ left_jacobian(turn)
         by_move = -weight[:, :, None] * (by_there @ R)
         of_own = delay[:, None, None] * usual * np.concatenate([by_turn, by_move], axis=2)
         of_own[lost] = 0
-        own = OwnRows(own_sigma, values, of_own, most)
+        own = replace(own, motion=values, slope=of_own)
     return RowShifts(state.line_delay, shift, slope, clock.known, own)
 
 

@@ -84,9 +84,16 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     if gain <= LEAST_GAIN:
         return decision
     left_px = left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
+    kept = (_kept(fit, observations, sigma, left_px, foreseen) for foreseen in (False, True))
+    return next((one for one in kept if one is not None), decision)
+
+
+def _kept(fit: RobustFit, observations: Observations, sigma: float, left_px: float,
+          foreseen: bool) -> ShutterDecision | None:
+    """Let each view move by itself; None where that leaves too much, or is no such motion."""
     found, most_px = None, left_px
     for _ in range(ROUNDS):
-        moving = _moving(fit, observations, sigma)
+        moving = _moving(fit, observations, sigma, foreseen)
         if moving is None or moving.bundle.sigma_px > most_px or not _is_own(moving):
             break
         most_px = moving.bundle.sigma_px
@@ -96,7 +103,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
             break
     # with the size that the fit found: that of the linear step may be too small by half
     if found is None or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
-        return decision
+        return None
     return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
 
 
@@ -122,22 +129,30 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
     """
     bundle, clock = fit.bundle, fit.observations.clock
     assert clock is not None
-    shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, clock, own_sigma=1.0)
+    shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, clock,
+                        own=OwnRows.supposed(1.0, STENCIL))
     assert shifts.own is not None
     return evidence_of_views(fit, size, Supposition(
         'rows', ROW_NAMES, shifts.own.slope, of_views=True), SIZES)
 
 
-def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
-    """Fit with motion of each view of this size; what was an outlier without need not be one."""
+def _moving(fit: RobustFit, observations: Observations, sigma: float,
+            foreseen: bool) -> RobustFit | None:
+    """
+    Fit with motion of each view of this size; what was an outlier without need not be one.
+
+    None, too, where `foreseen` says nothing new, as the views tell well how the camera moves.
+    """
     clock, shutter = fit.observations.clock, fit.observations.shutter
     assert clock is not None
     near = STENCIL
     if shutter is None or doubt_of_pace(fit) > SURE_OF_PACE:
         # the views are too far apart to tell more than how the camera moves on the whole
         shutter, near = RowShifts.none(len(fit.bundle.xy), clock.known), FAR_APART
+    elif foreseen:
+        return None
     offered = replace(observations, clock=clock).read_like(
-        replace(shutter, own=OwnRows.supposed(sigma, near)))
+        replace(shutter, own=OwnRows.supposed(sigma, near, foreseen)))
     state = with_all_points(fit.state, offered)
     if state is None:
         return None
