@@ -135,14 +135,15 @@ def test_each_of_few_views_is_read_in_turn_by_its_own_motion(robot, seed):
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
-def test_what_all_views_share_is_no_motion_of_single_ones():
-    """Its mean acted as a skew: 4.1 sigma and 3.7 % off in silence; others 8 and 12 sigma."""
-    world, _ = everyday.build('stops often', 1502)
+@pytest.mark.parametrize('robot, seed', [('stops often', 1502), ('legged', 2643)])
+def test_noise_of_rows_does_not_make_all_views_turn_alike(robot, seed):
+    """What seemed shared acted as a skew or an aspect ratio: 4 sigma and 4 % off, in silence."""
+    world, _ = everyday.build(robot, seed)
     result = world.calibrated(everyday.SQUARE)
 
-    assert result and world.away(result) < MAX_SIGMAS
-    assert 'rows_by_view' not in [one.kind for one in result.findings]
-    assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.02
+    assert result and world.away(result) < 2.5
+    assert 'rows_by_view' in [one.kind for one in result.findings]
+    assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
 def test_a_vehicle_that_stops_often_is_no_head():

@@ -25,10 +25,9 @@ from selfcal_ros.calibration.bundle.own_rows import OwnRows, ROW_NAMES
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
-from selfcal_ros.calibration.bundle.shutter import (row_shifts, RowShifts, share_foreseen,
-                                                    usual_motion)
+from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts, usual_motion
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
 
@@ -118,14 +117,33 @@ def test_what_is_supposed_of_the_motion_is_one_quadratic(waved):
     np.testing.assert_allclose(one, 0.05**2 * (np.eye(VIEWS) + 1), rtol=1e-9)
 
 
-def test_a_straight_flight_is_foreseen_and_its_shaking_is_not():
-    rng, times = np.random.default_rng(4), np.sort(np.random.default_rng(5).uniform(0, 60, 60))
-    R = rotation_matrix(0.05 * rng.standard_normal((60, 3)))
-    centre = np.column_stack([3.0 * times, rng.normal(0, 0.1, 60), np.full(60, 45.0)])
-    path = AxisPath.of_poses(np.eye(3), np.concatenate([R, -R @ centre[..., None]], axis=2))
-    share = share_foreseen(path, times)
+def test_noise_of_rows_is_no_motion_of_views(waved):
+    """A measured row is off as its residual is: every view seemed to pitch while it was read."""
+    state, blocks, clock, still, seen = waved
+    noise = np.random.default_rng(3).normal(0, 2.0, seen.shape)
 
-    assert share[:3].max() < 0.2 and 0.99 < share[3] <= 1 and share[4] < 0.2
+    def pull(**known):
+        """Mean gradient of the cost by a turn about x of all views, of noise and its opposite."""
+        plus, minus = (row_shifts(state, blocks, seen + sign * noise, clock, own=OWN,
+                                  **known).own.slope[..., 0] for sign in (1, -1))
+        return np.sum((plus - minus) * noise) / 2
+
+    usual = usual_motion(state.path, clock.times)[0]
+    expected = -np.sum(noise[:, 1]**2) * CAMERA.K[1, 1] * usual / clock.lines
+    assert pull() == pytest.approx(expected, rel=0.3)
+    assert abs(pull(before=seen - still)) < 1e-3 * abs(expected)
+
+
+def test_a_point_far_from_its_row_tells_no_time(waved):
+    state, blocks, clock, still, seen = waved
+    lost = np.arange(len(seen)) % 10 == 0
+    astray = np.where(lost[:, None], seen + [0.0, 60.0], seen)
+    measured = row_shifts(state, blocks, astray, clock, own=OWN)
+    projected = row_shifts(state, blocks, astray, clock, own=OWN, before=seen - still)
+    exact = row_shifts(state, blocks, seen, clock, own=OWN)
+
+    np.testing.assert_allclose(projected.shift[lost], measured.shift[lost], atol=1e-9)
+    np.testing.assert_allclose(projected.shift[~lost], exact.shift[~lost], atol=1e-6)
 
 
 @pytest.mark.parametrize('kind, seed', [(hand, 0), (hand, 2), (drive, 0)])

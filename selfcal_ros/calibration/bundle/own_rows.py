@@ -48,8 +48,6 @@ class OwnRows:
         Derivatives of the displacements by them, pixels.
     near : int
         Views that tell the line delay's motion at one of them, to which this is added.
-    foreseen : bool
-        Along each axis that motion counts as far as one interval tells the next.
 
     """
 
@@ -57,13 +55,11 @@ class OwnRows:
     motion: np.ndarray
     slope: np.ndarray
     near: int
-    foreseen: bool = False
 
     @classmethod
-    def supposed(cls, sigma: float, near: int, foreseen: bool = False) -> OwnRows:
+    def supposed(cls, sigma: float, near: int) -> OwnRows:
         """Return what is supposed, of no observations yet."""
-        return cls(sigma, np.zeros((0, len(ROW_NAMES))), np.zeros((0, 2, len(ROW_NAMES))), near,
-                   foreseen)
+        return cls(sigma, np.zeros((0, len(ROW_NAMES))), np.zeros((0, 2, len(ROW_NAMES))), near)
 
     @property
     def effects(self) -> ViewEffects:

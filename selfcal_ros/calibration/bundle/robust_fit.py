@@ -170,9 +170,10 @@ class Observations:
         """Renew the displacements by the rows' delay, where it is estimated."""
         if self.shutter is None or self.clock is None:
             return self
-        blocks, own = PointBlocks(self.point, self.view), self.shutter.own
-        renewed = (row_shifts(state, blocks, self.xy, self.clock, self.neighbours) if own is None
-                   else row_shifts(state, blocks, self.xy, self.clock, own=own))
+        own = self.shutter.own
+        renewed = row_shifts(state, PointBlocks(self.point, self.view), self.xy, self.clock,
+                             self.neighbours if own is None else None, own=own,
+                             before=self.shutter.at(state, self.view))
         return replace(self, shutter=replace(renewed, known=self.shutter.known))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:

@@ -47,6 +47,9 @@ LINE_DELAY = 'line_delay'
 LARGEST_SHIFT = 0.25
 #: The same of displacements in an interval between frames.
 FASTEST = 2.0
+#: A point projects to the row it is read in, unless it projects farther from what is measured than
+#: this share of the image.
+NEAR = 0.02
 #: Views that are far apart in time tell no more than how fast the camera moves on the whole, by
 #: one before and one after.
 FAR_APART = 3
@@ -166,42 +169,15 @@ def usual_motion(path: AxisPath, times: np.ndarray) -> np.ndarray:
     return np.repeat(size, 3)
 
 
-def share_foreseen(path: AxisPath, times: np.ndarray) -> np.ndarray:
-    """
-    Tell how far the motion after a view is that before it, along each axis.
-
-    A drone that flies straight and shakes has its way foreseen, and none of its turns. Whatever
-    few views say of such turns would hide by how much all rows are late.
-
-    Parameters
-    ----------
-    path : AxisPath
-    times : ndarray, shape (V,)
-
-    Returns
-    -------
-    ndarray, shape (6,)
-        Of turns (3) and moves (3) in the frame of the view: the correlation of both, about zero;
-        zero where it is negative.
-
-    """
-    R, C = path.rotations(), path.centres()
-    interval = np.diff(times)[:, None]
-    turn = rotation_vector(R[1:] @ np.swapaxes(R[:-1], 1, 2)) / interval
-    move = np.diff(C, axis=0) / interval
-    # of the views in between, both in the frame of that view
-    before, after = (np.concatenate([turn[some], np.einsum('vij,vj->vi', R[1:-1], move[some])],
-                                    axis=1) for some in (slice(None, -1), slice(1, None)))
-    size = np.sqrt((before**2).sum(axis=0) * (after**2).sum(axis=0))
-    share: np.ndarray = np.maximum((before * after).sum(axis=0), 0) / np.maximum(size, 1e-300)
-    return share
-
-
 def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
                neighbours: np.ndarray | None = None, most: int = STENCIL,
-               own: OwnRows | None = None) -> RowShifts:
+               own: OwnRows | None = None, before: np.ndarray | None = None) -> RowShifts:
     """
     Displace every observation by the motion of the camera until its row is read.
+
+    The row is the one that the point projects to. A measured row would carry its noise into the
+    derivatives, which the same noise in the residuals then seems to bear out: where little is
+    known of how views move on the whole, that would be found.
 
     Parameters
     ----------
@@ -218,6 +194,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     own : OwnRows, optional
         What is supposed where each view has a motion of its own, too; it says how many views
         tell.
+    before : ndarray, shape (N, 2), optional
+        Displacements as they were known before, pixels. None: the measured rows count.
 
     Returns
     -------
@@ -227,13 +205,12 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     motion = local_motion(state.path, clock.times, most if own is None else own.near)
     if own is not None and own.near == FAR_APART:
         motion[1:] = 0
-        if own.foreseen:
-            motion[0] *= share_foreseen(state.path, clock.times)
     if neighbours is not None:
         motion = motion_from_neighbours(state, blocks, xy, neighbours, clock, motion)
     view, path = blocks.view, state.path
     placed, weight = state.placed_ahead(blocks, xy)
-    delay = clock.delays(xy)
+    still = projection(state.lens, placed @ path.mount.T, state.zoom, view)
+    delay = clock.delays(xy if before is None else _projected(still.uv + before, xy, clock))
     tau = (state.line_delay * delay)[:, None]
     velocity, acceleration, jerk = motion[:, view]
     rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
@@ -246,7 +223,6 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     turn, there = moved[:, :3], placed - weight * moved[:, 3:]
     R = rotation_matrix(turn)
     there = np.einsum('nij,nj->ni', R, there)
-    still = projection(state.lens, placed @ path.mount.T, state.zoom, view)
     later = projection(state.lens, there @ path.mount.T, state.zoom, view)
     spin = np.einsum('nij,nj->ni', left_jacobian(turn), rate[:, :3])
     speed = np.cross(spin, there) - weight * np.einsum('nij,nj->ni', R, rate[:, 3:])
@@ -266,6 +242,13 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         of_own[lost] = 0
         own = replace(own, motion=values, slope=of_own)
     return RowShifts(state.line_delay, shift, slope, clock.known, own)
+
+
+def _projected(projected: np.ndarray, xy: np.ndarray, clock: Clock) -> np.ndarray:
+    """Return where points project (N, 2), or the measured pixels where that is far from them."""
+    with np.errstate(invalid='ignore'):
+        near = np.abs(projected - xy).max(axis=1) < NEAR * clock.lines
+    return np.where(near[:, None], projected, xy)
 
 
 def pace_doubt(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock) -> float:

@@ -44,9 +44,6 @@ CLEARLY_LESS = 0.97
 #: A line delay is estimated beside the motion of single views where it is surer than this how the
 #: camera moves at each: a tenth of what is enough to estimate it alone.
 SURE_OF_PACE = 0.03
-#: Sizes by which the mean over the views may be off zero. Where more is found, all images share
-#: it: a skew acts so, which leaves the focal length of a planar motion free.
-MOST_IN_COMMON = 3.5
 #: Shares of the motion between views that are tried. The interval is longer than the readout.
 SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
 #: Rounds in which the size settles, and the change of its log that ends them.
@@ -84,17 +81,10 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     if gain <= LEAST_GAIN:
         return decision
     left_px = left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
-    kept = (_kept(fit, observations, sigma, left_px, foreseen) for foreseen in (False, True))
-    return next((one for one in kept if one is not None), decision)
-
-
-def _kept(fit: RobustFit, observations: Observations, sigma: float, left_px: float,
-          foreseen: bool) -> ShutterDecision | None:
-    """Let each view move by itself; None where that leaves too much, or is no such motion."""
     found, most_px = None, left_px
     for _ in range(ROUNDS):
-        moving = _moving(fit, observations, sigma, foreseen)
-        if moving is None or moving.bundle.sigma_px > most_px or not _is_own(moving):
+        moving = _moving(fit, observations, sigma)
+        if moving is None or moving.bundle.sigma_px > most_px:
             break
         most_px = moving.bundle.sigma_px
         found, fit, before = sigma, moving, sigma
@@ -103,7 +93,7 @@ def _kept(fit: RobustFit, observations: Observations, sigma: float, left_px: flo
             break
     # with the size that the fit found: that of the linear step may be too small by half
     if found is None or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
-        return None
+        return decision
     return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
 
 
@@ -127,44 +117,30 @@ def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, f
         moves views makes those of neighbours in an image alike, so that is no argument against it.
 
     """
-    bundle, clock = fit.bundle, fit.observations.clock
+    bundle, clock, shutter = fit.bundle, fit.observations.clock, fit.observations.shutter
     assert clock is not None
+    before = np.zeros_like(bundle.xy) if shutter is None else shutter.at(fit.state, bundle.view)
     shifts = row_shifts(fit.state, bundle.blocks, bundle.xy, clock,
-                        own=OwnRows.supposed(1.0, STENCIL))
+                        own=OwnRows.supposed(1.0, STENCIL), before=before)
     assert shifts.own is not None
     return evidence_of_views(fit, size, Supposition(
         'rows', ROW_NAMES, shifts.own.slope, of_views=True), SIZES)
 
 
-def _moving(fit: RobustFit, observations: Observations, sigma: float,
-            foreseen: bool) -> RobustFit | None:
-    """
-    Fit with motion of each view of this size; what was an outlier without need not be one.
-
-    None, too, where `foreseen` says nothing new, as the views tell well how the camera moves.
-    """
+def _moving(fit: RobustFit, observations: Observations, sigma: float) -> RobustFit | None:
+    """Fit with motion of each view of this size; what was an outlier without need not be one."""
     clock, shutter = fit.observations.clock, fit.observations.shutter
     assert clock is not None
     near = STENCIL
     if shutter is None or doubt_of_pace(fit) > SURE_OF_PACE:
         # the views are too far apart to tell more than how the camera moves on the whole
         shutter, near = RowShifts.none(len(fit.bundle.xy), clock.known), FAR_APART
-    elif foreseen:
-        return None
     offered = replace(observations, clock=clock).read_like(
-        replace(shutter, own=OwnRows.supposed(sigma, near, foreseen)))
+        replace(shutter, own=OwnRows.supposed(sigma, near)))
     state = with_all_points(fit.state, offered)
     if state is None:
         return None
     return fit_robustly(offered, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
-
-
-def _is_own(fit: RobustFit) -> bool:
-    """Tell whether the motion that a fit has found is that of single views."""
-    shutter, motion = fit.observations.shutter, fit.state.row_motion
-    assert shutter is not None and shutter.own is not None and motion is not None
-    in_common = np.abs(motion.mean(axis=0))
-    return bool(in_common.max() < MOST_IN_COMMON * shutter.own.sigma)
 
 
 def _size_after(fit: RobustFit) -> float:
