@@ -27,6 +27,7 @@ from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts, usual_motion
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators import own_rows_choice
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
@@ -158,6 +159,14 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
     assert abs(error[0]) < 0.004 * 520 and result.noise_sigma_px < 0.23
     # how fast the rows are read does not follow
     assert result.shutter is None
+
+
+def test_motion_that_no_size_is_enough_for_is_not_that_of_rows(monkeypatch):
+    """Paths that were wrong asked for more than the interval: 17 sigma and 74 % off in silence."""
+    monkeypatch.setattr(own_rows_choice, 'SIZES', own_rows_choice.SIZES[:8])
+    result = calibrate(far_apart(hand, 0).tracks, facts=SQUARE)
+
+    assert 'rows_by_view' not in [finding.kind for finding in getattr(result, 'findings', ())]
 
 
 def test_columns_of_upright_photographs_are_read_in_turn():

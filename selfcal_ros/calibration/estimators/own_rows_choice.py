@@ -44,8 +44,9 @@ CLEARLY_LESS = 0.97
 #: A line delay is estimated beside the motion of single views where it is surer than this how the
 #: camera moves at each: a tenth of what is enough to estimate it alone.
 SURE_OF_PACE = 0.03
-#: Shares of the motion between views that are tried. The interval is longer than the readout.
-SIZES = 1e-3 * 2.0**(0.5 * np.arange(16))
+#: Shares of the motion between views that are tried. The interval is longer than the readout: what
+#: asks for more than all of them is that the path is wrong.
+SIZES = 1e-3 * 2.0**(0.5 * np.arange(17))
 #: Rounds in which the size settles, and the change of its log that ends them.
 ROUNDS, SETTLED = 2, 0.2
 
@@ -92,7 +93,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
         if abs(np.log(sigma / before)) < SETTLED:
             break
     # with the size that the fit found: that of the linear step may be too small by half
-    if found is None or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
+    if found is None or sigma >= SIZES[-1] or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
         return decision
     return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
 
