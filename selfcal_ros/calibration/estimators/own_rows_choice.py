@@ -82,17 +82,16 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     if gain <= LEAST_GAIN:
         return decision
     left_px = left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
-    found, most_px = None, left_px
+    found = None
     for _ in range(ROUNDS):
         moving = _moving(fit, observations, sigma)
-        if moving is None or moving.bundle.sigma_px > most_px:
+        if moving is None or (found is not None and moving.bundle.sigma_px > fit.bundle.sigma_px):
             break
-        most_px = moving.bundle.sigma_px
         found, fit, before = sigma, moving, sigma
         sigma = _size_after(fit)
         if abs(np.log(sigma / before)) < SETTLED:
             break
-    # with the size that the fit found: that of the linear step may be too small by half
+    # with the size that the fit found: that of the linear step may be an eighth of it
     if found is None or sigma >= SIZES[-1] or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
         return decision
     return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
