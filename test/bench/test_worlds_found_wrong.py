@@ -146,6 +146,13 @@ def test_noise_of_rows_does_not_make_all_views_turn_alike(robot, seed):
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
+def test_a_field_that_makes_an_aspect_ratio_negative_is_none():
+    """Nothing is stated, and a turn has an aspect ratio of 0.004: it ended in a traceback."""
+    outcome = mixed_worlds.one_run(61077)
+
+    assert outcome.refused or outcome.away < MAX_SIGMAS
+
+
 def test_a_vehicle_that_stops_often_is_no_head():
     """A turn about a point put points behind the camera, and was refused for that at once."""
     world, _ = everyday.build('stops often', 106)

@@ -291,7 +291,7 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
     Returns
     -------
     DistortionMisfit or None
-        None where it lies beyond the linear range.
+        None where it lies beyond the linear range, or where no lens is.
 
     """
     bundle, state, system = fit.bundle, fit.state, joint.system
@@ -299,7 +299,8 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
     step[joint.shared[:len(coefficients)]] = coefficients
     points = system.point_steps(step)
     found = bundle.moved(state, step[joint.place], points)
-    if not (np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1) < MAX_SHIFT).all():
+    moved = np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1)
+    if not (found.lens.is_possible and (moved < MAX_SHIFT).all()):
         return None
     change = system.predict(step, points)
     system.residual = system.residual + change
