@@ -49,7 +49,7 @@ LARGEST_SHIFT = 0.25
 FASTEST = 2.0
 #: A point projects to the row it is read in, unless it projects farther from what is measured than
 #: this share of the image.
-NEAR = 0.02
+ASTRAY = 0.02
 #: Views that are far apart in time tell no more than how fast the camera moves on the whole, by
 #: one before and one after.
 FAR_APART = 3
@@ -247,7 +247,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
 def _projected(projected: np.ndarray, xy: np.ndarray, clock: Clock) -> np.ndarray:
     """Return where points project (N, 2), or the measured pixels where that is far from them."""
     with np.errstate(invalid='ignore'):
-        near = np.abs(projected - xy).max(axis=1) < NEAR * clock.lines
+        near = np.abs(projected - xy).max(axis=1) < ASTRAY * clock.lines
     return np.where(near[:, None], projected, xy)
 
 
