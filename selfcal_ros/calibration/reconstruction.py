@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -110,6 +111,54 @@ class PosePrecision:
 
 
 @dataclass(frozen=True)
+class RowMotion:
+    """
+    How the camera moved while each view was read, line by line.
+
+    Attributes
+    ----------
+    by_powers : ndarray, shape (V, 3, 6)
+        Turn (rotation vector, rad) and move of the camera since its middle line, in its own frame
+        there, by the first three powers of the line: -1/2 is the first and 1/2 the last.
+    lines : int
+        Rows of the image, or columns.
+    axis : int
+        The pixel coordinate that tells the line: 1 of rows, 0 of columns.
+
+    """
+
+    by_powers: np.ndarray
+    lines: int
+    axis: int = 1
+
+    def when_read(self, X: np.ndarray, weight: np.ndarray, view: np.ndarray, xy: np.ndarray,
+                  ) -> np.ndarray:
+        """
+        Carry points to the frame of the camera at the instant when their line is read.
+
+        Parameters
+        ----------
+        X : ndarray, shape (N, 3)
+            In the frame of the view: its middle line.
+        weight : ndarray, shape (N,)
+            Their last homogeneous coordinate; zero at infinity.
+        view : ndarray of int, shape (N,)
+        xy : ndarray, shape (N, 2)
+            Pixels, which tell the line.
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+
+        """
+        line = (xy[:, self.axis] - (self.lines - 1) / 2) / self.lines
+        moved = np.einsum('np,npk->nk', line[:, None]**np.arange(1, 4), self.by_powers[view])
+        there: np.ndarray = np.einsum('nij,nj->ni', rotation_matrix(moved[:, :3]),
+                                      X - weight[:, None] * moved[:, 3:])
+        return there
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """
     Camera path and structure, up to scale, in a world frame whose z axis is the rotation axis.
@@ -127,6 +176,11 @@ class Reconstruction:
         from it.
     pose_precision : PosePrecision, optional
         Of the poses; see `selfcal_ros.calibration.structure.camera_path`.
+    row_motion : RowMotion, optional
+        How the camera moved while each view was read, where that was allowed for; the poses are
+        those of the middle lines.
+    shift_px : ndarray, shape (V, 2), optional
+        How far a stabiliser shifted each image, where that was allowed for.
 
     """
 
@@ -136,6 +190,8 @@ class Reconstruction:
     points: np.ndarray
     precision: StructurePrecision | None = field(default=None, repr=False, compare=False)
     pose_precision: PosePrecision | None = field(default=None, repr=False, compare=False)
+    row_motion: RowMotion | None = field(default=None, repr=False, compare=False)
+    shift_px: np.ndarray | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,8 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     both = seen & known
     view, point, xy = view[both], point[both], tracks.xy[both]
     X = np.einsum('nij,nj->ni', shape.cam_from_world[view], shape.points[point])
+    if shape.row_motion is not None:
+        X = shape.row_motion.when_read(X, shape.points[point, 3], view, xy)
     # a homogeneous point has no sign: take the one that most of its views see where they look
     # as the camera of the mean focal length would see them
     scale, centre = result.magnification(tracks.frame[both])[:, None], result.camera.K[:2, 2]
@@ -81,6 +83,8 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     balance = np.bincount(point, np.sign(along), minlength=len(shape.points))
     ahead = X * np.where(balance[point] < 0, -1, 1)[:, None]
     residual = (result.camera.project(ahead) - plain) * scale
+    if shape.shift_px is not None:
+        residual += shape.shift_px[view]
     with np.errstate(invalid='ignore', over='ignore'):
         distance = np.linalg.norm(residual, axis=1)
         finite = np.sort(distance[np.isfinite(distance)])

@@ -202,11 +202,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     RowShifts
 
     """
-    motion = local_motion(state.path, clock.times, most if own is None else own.near)
-    if own is not None and own.near == FAR_APART:
-        motion[1:] = 0
-    if neighbours is not None:
-        motion = motion_from_neighbours(state, blocks, xy, neighbours, clock, motion)
+    motion = _motion_of_views(state, blocks, xy, clock, neighbours, most, own)
     view, path = blocks.view, state.path
     placed, weight = state.placed_ahead(blocks, xy)
     still = projection(state.lens, placed @ path.mount.T, state.zoom, view)
@@ -216,9 +212,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
     moved = tau * (velocity + tau * (0.5 * acceleration + tau / 6 * jerk))
     if own is not None:
-        usual = usual_motion(path, clock.times)
-        values = (np.zeros((len(clock.times), 6)) if state.row_motion is None
-                  else state.row_motion)
+        values, usual = _values_of_own(state, clock), usual_motion(path, clock.times)
         moved += delay[:, None] * (values * usual)[view]
     turn, there = moved[:, :3], placed - weight * moved[:, 3:]
     R = rotation_matrix(turn)
@@ -242,6 +236,43 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         of_own[lost] = 0
         own = replace(own, motion=values, slope=of_own)
     return RowShifts(state.line_delay, shift, slope, clock.known, own)
+
+
+def _motion_of_views(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
+                     neighbours: np.ndarray | None, most: int, own: OwnRows | None) -> np.ndarray:
+    """Velocity, acceleration and jerk (3, V, 6), as `local_motion` and neighbours tell."""
+    motion = local_motion(state.path, clock.times, most if own is None else own.near)
+    if own is not None and own.near == FAR_APART:
+        motion[1:] = 0
+    return motion if neighbours is None else motion_from_neighbours(
+        state, blocks, xy, neighbours, clock, motion)
+
+
+def _values_of_own(state: SceneState, clock: Clock) -> np.ndarray:
+    """Return what each view moves by itself (V, 6), in units of what is usual."""
+    return np.zeros((len(clock.times), 6)) if state.row_motion is None else state.row_motion
+
+
+def motion_by_powers(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
+                     neighbours: np.ndarray | None = None, own: OwnRows | None = None,
+                     ) -> np.ndarray:
+    """
+    Tell how the camera moved while each view was read.
+
+    Parameters are those of `row_shifts`.
+
+    Returns
+    -------
+    ndarray, shape (V, 3, 6)
+        Turn and move before the mount, by the first three powers of `Clock.delays`.
+
+    """
+    motion = _motion_of_views(state, blocks, xy, clock, neighbours, STENCIL, own)
+    powers = np.array([1.0, 1 / 2, 1 / 6]) * state.line_delay**np.arange(1, 4)
+    by_powers: np.ndarray = np.moveaxis(powers[:, None, None] * motion, 0, 1)
+    if own is not None:
+        by_powers[:, 0] += _values_of_own(state, clock) * usual_motion(state.path, clock.times)
+    return by_powers
 
 
 def _projected(projected: np.ndarray, xy: np.ndarray, clock: Clock) -> np.ndarray:

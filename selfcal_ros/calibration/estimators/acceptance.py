@@ -30,7 +30,8 @@ from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
                                                              PathDescription, widest_turn_rad)
 from selfcal_ros.calibration.estimators.rectified import rectified_findings
-from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
+from selfcal_ros.calibration.estimators.shutter_choice import (readout_of, row_motion_of,
+                                                               shutter_findings)
 from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict, LENS_MODEL
 from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND, supported_optimum
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
@@ -266,7 +267,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         outlier_count=fit.outliers + graph.rejected,
         reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),
                                       fit.observations.track, state.points, precision,
-                                      pose_precision(fit, path.motion in IN_A_PLANE)),
+                                      pose_precision(fit, path.motion in IN_A_PLANE),
+                                      row_motion_of(fit, state), state.shift),
         fixed_points=_fixed_points(state.path, camera.K) if problem.motion.keeps_plane else None,
         findings=path.findings + findings + shutter_findings(shutter),
         residuals=residuals, identifiability=known,

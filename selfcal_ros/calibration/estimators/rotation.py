@@ -52,7 +52,7 @@ from selfcal_ros.calibration.estimators.rotation_corrections import rotation_cor
 from selfcal_ros.calibration.estimators.rotation_start import (best_rotation_start,
                                                                RotationProblem)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
-                                                               shutter_findings,
+                                                               row_motion_of, shutter_findings,
                                                                ShutterDecision, timed)
 from selfcal_ros.calibration.estimators.sliding_images import only_slides
 from selfcal_ros.calibration.estimators.supported_optimum import verdict_on_facts
@@ -345,7 +345,9 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
         noise_sigma_px=bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=fit.outliers,
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), fit.observations.track,
-                                      state.points, pose_precision=pose_precision(fit, False)),
+                                      state.points, pose_precision=pose_precision(fit, False),
+                                      row_motion=row_motion_of(fit, state),
+                                      shift_px=state.shift),
         residuals=residuals, population=bundle.priors.population, focal=course, shutter=shutter,
         findings=(*shift_findings(fit), *course_findings(course), *of_facts, *assessed.findings,
                   *shutter_findings(shutter)))

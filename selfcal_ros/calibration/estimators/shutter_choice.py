@@ -32,9 +32,12 @@ from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        RobustFit, with_all_directions,
                                                        with_all_points)
-from selfcal_ros.calibration.bundle.shutter import FAR_APART, LINE_DELAY, pace_doubt
+from selfcal_ros.calibration.bundle.shutter import (FAR_APART, LINE_DELAY, motion_by_powers,
+                                                    pace_doubt)
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.reconstruction import RowMotion
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (
     cluster_robust_covariance, shared_sigma)
@@ -328,6 +331,18 @@ def readout_of(fit: RobustFit, sigma_inflation: float) -> RowReadout | None:
                       None if seconds is None else sigma * seconds,
                       'held' if shutter.is_held else 'estimated', value, sigma, clock.lines,
                       'rows' if clock.axis else 'columns')
+
+
+def row_motion_of(fit: RobustFit, state: SceneState) -> RowMotion | None:
+    """Tell how the camera moved while each view was read; None with a global shutter."""
+    seen = fit.observations
+    if seen.shutter is None or seen.clock is None:
+        return None
+    own = seen.shutter.own
+    by_powers = motion_by_powers(state, fit.bundle.blocks, seen.xy, seen.clock,
+                                 seen.neighbours if own is None else None, own)
+    axes = by_powers.reshape(len(by_powers), 3, 2, 3) @ state.path.mount.T
+    return RowMotion(axes.reshape(by_powers.shape), seen.clock.lines, seen.clock.axis)
 
 
 def shutter_findings(readout: RowReadout | None) -> tuple[Finding, ...]:

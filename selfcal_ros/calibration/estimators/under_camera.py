@@ -37,7 +37,8 @@ def under_camera(calibration: Calibration, camera: Camera, tracks: Tracks) -> Ca
     Return a calibration with another camera, and with the path and the points that suit it.
 
     Without that, the same images would seem not to fit: path and points make up for their own
-    camera. Rows that are read in turn and varying focal lengths stay as they are.
+    camera. Where rows are read in turn, images are shifted or the focal length varies they stay
+    as they are.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ def under_camera(calibration: Calibration, camera: Camera, tracks: Tracks) -> Ca
 
     """
     scene = calibration.reconstruction
-    if scene is None or calibration.shutter is not None or calibration.focal is not None:
+    if scene is None or calibration.focal is not None or (
+            scene.row_motion is not None or scene.shift_px is not None):
         return replace(calibration, camera=camera)
     known = tracks.in_frames(scene.frames)
     known = known.select(np.isin(known.track, scene.tracks))
