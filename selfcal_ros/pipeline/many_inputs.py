@@ -340,7 +340,7 @@ def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: Engi
     """Combine the recordings of one camera; `findable` names them for those who read them."""
     if all(outcome.start_ns is not None for outcome in group):
         group = sorted(group, key=lambda outcome: outcome.start_ns or 0)
-    first = group[0]
+    group, first = list(group), group[0]
     empty = CameraSummary(first.topic, first.image_size or (0, 0), tuple(group))
     results = {number: outcome.result for number, outcome in enumerate(group) if outcome.result
                and np.isfinite(outcome.result.covariance).all()}
@@ -359,9 +359,12 @@ def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: Engi
         for number in again:
             del results[number]
         for done, (place, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
-            result = _outcomes(jobs[place].path, value)[0].result
-            if result and np.isfinite(result.covariance).all():
-                results[again[place]] = result
+            number, found = again[place], _outcomes(jobs[place].path, value)[0]
+            if found.result and np.isfinite(found.result.covariance).all():
+                results[number] = found.result
+                # what is told of a recording is what counts
+                group[number] = replace(found, path=group[number].path,
+                                        seconds=group[number].seconds + found.seconds)
             if progress:
                 progress(f'Again with distortion {usual}', done, len(jobs))
         findings = (Finding('recordings_asked_again', again=len(again), recordings=len(good),
@@ -371,7 +374,8 @@ def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: Engi
                       for copy, one in copies)
     from selfcal_ros.calibration.estimators.joint import combine
     joint = combine([results[number] for number in members])
-    return replace(empty, joint=joint, members=members, findings=findings)
+    return replace(empty, outcomes=tuple(group), joint=joint, members=members,
+                   findings=findings)
 
 
 def _distinct(results: Mapping[int, Calibration]) -> tuple[tuple[int, ...],

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 import numpy as np
 
+from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.pipeline.many_inputs import CameraSummary
 from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
 
@@ -65,8 +66,8 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for axis, name in zip(axes, names):
             k = joint.parameter_names.index(name)
-            value = np.array([result.camera.parameters[k] for result in results.values()])
-            sigma = np.array([result.sigma[name] for result in results.values()])
+            # a recording that is not in the joint estimate may have another lens
+            value, sigma = np.array([_value(result, name) for result in results.values()]).T
             middle, spread = joint.camera.parameters[k], joint.sigma[name]
             axis.axhspan(middle - spread, middle + spread, color=PALE, zorder=0)
             axis.axhline(middle, color=GREY, linewidth=0.8, zorder=1)
@@ -91,6 +92,14 @@ def picture(figure: Figure, kind: str) -> bytes:
         figure.savefig(stream, format=kind, facecolor='white',
                        metadata={'Date': None, 'Creator': None} if kind == 'svg' else None)
     return stream.getvalue()
+
+
+def _value(result: Calibration, name: str) -> tuple[float, float]:
+    """Return a parameter and its sigma, NaN where the lens has none of that name."""
+    if name not in result.parameter_names:
+        return np.nan, np.nan
+    return (float(result.camera.parameters[result.parameter_names.index(name)]),
+            result.sigma[name])
 
 
 def _is_used(camera: CameraSummary, number: int) -> bool:

@@ -13,6 +13,7 @@
 # limitations under the License.
 """What is said of many recordings: words that fit, whatever came of them."""
 
+from dataclasses import replace
 import json
 import re
 
@@ -80,6 +81,24 @@ def test_rows_say_what_became_of_each():
     assert rows[5].status == 'not calibrated: there is no parallax.'
     assert rows[0].values == ('520.00 ± 0.30', '520.00 ± 0.30', '320.00 ± 0.20', '240.00 ± 0.20')
     assert rows[1].start == '2023-11-15 22:13:20'
+
+
+def test_a_recording_of_another_lens_is_drawn_by_the_names_of_its_parameters():
+    fisheye = Camera.from_parameters([500, 500, 320, 240, 0, 9, 9, 9, 9], 640, 480, 'equidistant')
+    other = replace(calibration(500, 0.3), camera=fisheye, status={}, facts=replace(
+        FACTS, distortion='equidistant'))
+    found = summary([520.1, 519.8], 0.3, clock=False, others=[other])
+    joint = replace(found.joint.calibration, status={**found.joint.calibration.status,
+                                                     'k2': 'estimated', 'p1': 'estimated'})
+    figure = parameter_history(replace(found, joint=replace(found.joint, calibration=joint)))
+
+    drawn = {axis.get_ylabel().split()[0]: np.concatenate([
+        line.get_ydata() for line in axis.lines if line.get_marker() == 'o'])
+        for axis in figure.axes}
+    np.testing.assert_equal(drawn['fx'], [520.1, 519.8, 500])
+    np.testing.assert_equal(drawn['k2'], [0, 0, 9])
+    # the seventh number of a fisheye is another one
+    np.testing.assert_equal(drawn['p1'], [0, 0, np.nan])
 
 
 @pytest.mark.parametrize('clock', [True, False])
