@@ -99,6 +99,17 @@ def test_a_part_that_is_inside_out_is_mended(scene):
     assert share_behind(whole) == 0 and whole.bundle.sigma_px < 0.15
 
 
+@pytest.mark.parametrize('offset', [2**40, -300])
+def test_tracks_may_have_any_numbers(scene, offset):
+    # as many numbers as the largest were kept a view: a terabyte where they are hashes
+    _, problem, start = scene
+    kept, _ = problem.observations.select(np.arange(len(problem.observations.view)) % 7 > 0)
+    far, fewer = (replace(one, track=one.track + offset) for one in (problem.observations, kept))
+
+    np.testing.assert_equal(passing_shares(far, fewer, VIEWS),
+                            passing_shares(problem.observations, kept, VIEWS))
+
+
 def test_a_path_that_holds_together_is_left_alone(scene):
     sequence, problem, start = scene
     fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))

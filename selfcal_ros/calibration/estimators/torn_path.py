@@ -58,13 +58,13 @@ def passing_shares(tried: Observations, kept: Observations, views: int,
         Shares; NaN at both ends, and where too few pass.
 
     """
-    count = int(tried.track.max(initial=-1)) + 1
+    tracks = np.union1d(tried.track, kept.track)
     passing = []
     for observations in (tried, kept):
-        first, last = np.full(count, views), np.full(count, -1)
-        identity = observations.track[observations.point]
-        np.minimum.at(first, identity, observations.view)
-        np.maximum.at(last, identity, observations.view)
+        first, last = np.full(len(tracks), views), np.full(len(tracks), -1)
+        place = np.searchsorted(tracks, observations.track)[observations.point]
+        np.minimum.at(first, place, observations.view)
+        np.maximum.at(last, place, observations.view)
         at = np.arange(views)[:, None]
         passing.append((first < at) & (last > at))
     before, after = passing[0].sum(axis=1), (passing[0] & passing[1]).sum(axis=1)
