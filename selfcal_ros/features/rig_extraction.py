@@ -92,12 +92,15 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
     Raises
     ------
     InputError
-        If the images of a camera differ in size.
+        If the images of a camera differ in size, or a mask is of another.
 
     """
     seed = sampler_seed(rng)
     report = progress or (lambda text, done: None)
     sizes = {name: _one_size(name, of_camera) for name, of_camera in images.items()}
+    if mask is not None:
+        for width, height in sizes.values():
+            mask.check((height, width))
     count = len(images)
     features: list[Features] = [None] * (count * len(frames))       # type: ignore[list-item]
     matches: list[ImagePairMatches] = []

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from selfcal_ros.errors import InputError
+from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.rig_extraction import extract_rig_tracks
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -63,6 +64,15 @@ def test_what_two_cameras_see_has_one_number():
             places.append(x[:, :2] / x[:, 2:])
         assert len(a) > 15
         assert np.median(np.linalg.norm(places[0] - places[1], axis=1)) < 0.5
+
+
+def test_a_mask_is_as_large_as_the_images_of_every_camera():
+    # the mask of the larger images would leave out another part of the smaller ones
+    rng = np.random.default_rng(0)
+    images = {name: [rng.integers(0, 255, size, np.uint8) for _ in range(3)]
+              for name, size in (('left', (48, 64)), ('right', (30, 40)))}
+    with pytest.raises(InputError, match='mask is 64x48 pixels, but the images are 40x30'):
+        extract_rig_tracks(images, range(3), mask=ImageMask(np.ones((48, 64))))
 
 
 def test_images_of_one_camera_have_one_size():
