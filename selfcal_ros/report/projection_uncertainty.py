@@ -59,6 +59,30 @@ class ProjectionUncertainty:
         apart = np.hypot((C[..., 0, 0] - C[..., 1, 1]) / 2, C[..., 0, 1])
         return np.asarray(np.sqrt(np.maximum(mean + apart, 0)))
 
+    def direction_sigma_rad(self, camera: Camera) -> np.ndarray:
+        """
+        Standard deviation of the direction of a ray, along its worst, shape (rows, columns).
+
+        The pixel that is known the least turns a ray the least near the border of many lenses:
+        A C Aᵀ, by the derivatives A of the ray. NaN where the lens does not see.
+        """
+        pixels = np.stack(np.meshgrid(self.u, self.v), axis=-1).reshape(-1, 2)
+        A = np.stack([_unit_rays(camera, pixels + step) - _unit_rays(camera, pixels - step)
+                      for step in ([0.5, 0.0], [0.0, 0.5])], axis=2)
+        G = np.swapaxes(A, 1, 2) @ A
+        C = self.covariance.reshape(-1, 2, 2)
+        half = np.einsum('nij,nji->n', G, C) / 2
+        both = np.linalg.det(G) * np.linalg.det(C)
+        largest = half + np.sqrt(np.maximum(half**2 - both, 0))
+        return np.asarray(np.sqrt(np.maximum(largest, 0)).reshape(self.covariance.shape[:2]))
+
+
+def _unit_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Return the directions (N, 3) that pixels (N, 2) see."""
+    rays = camera.rays(pixels)
+    unit: np.ndarray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return unit
+
 
 def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int = 40,
                            rotate: bool = True) -> ProjectionUncertainty:

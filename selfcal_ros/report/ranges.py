@@ -42,12 +42,7 @@ def angular_sigmas(result: Calibration) -> dict[str, float]:
         return {}
     found = projection_uncertainty(camera, covariance, 40)
     u, v = np.meshgrid(found.u, found.v)
-    # a step of a pixel turns the ray by so much, about each axis of the image
-    pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
-    rays = camera.rays(pixels)
-    turn = np.stack([np.linalg.norm(camera.rays(pixels + step) - camera.rays(pixels - step),
-                                    axis=1) for step in ([0.5, 0.0], [0.0, 0.5])])
-    sigma = found.sigma_px.reshape(-1) * turn.max(axis=0) / np.linalg.norm(rays, axis=1)
+    sigma = found.direction_sigma_rad(camera).reshape(-1)
     place = np.hypot(u / (camera.width - 1) - 0.5, v / (camera.height - 1) - 0.5)
     place = place.reshape(-1) * np.sqrt(2)
     sigmas = {}

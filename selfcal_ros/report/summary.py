@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.projection_uncertainty import projection_uncertainty
+from selfcal_ros.report.projection_uncertainty import (projection_uncertainty,
+                                                       ProjectionUncertainty)
 from selfcal_ros.values.measured_digits import with_sigma
 
 #: Where a parameter is from, by its status.
@@ -74,26 +75,39 @@ def distortion(result: Calibration) -> list[Entry]:
 
 def projection_sigmas(result: Calibration) -> tuple[float, float] | None:
     """Return the median and the largest sigma of projection over the image, px."""
+    found = _projection(result)
+    return None if found is None else _middle_and_worst(found.sigma_px)
+
+
+def _projection(result: Calibration) -> ProjectionUncertainty | None:
+    """Return the uncertainty of projection over the image, where it is known."""
     camera, covariance = result.camera, np.asarray(result.covariance, float)
     if min(camera.width, camera.height) <= 0 or not np.isfinite(covariance).all() \
             or not covariance.any():
         return None
-    sigma = projection_uncertainty(camera, covariance, 40).sigma_px
+    return projection_uncertainty(camera, covariance, 40)
+
+
+def _middle_and_worst(sigma: np.ndarray) -> tuple[float, float] | None:
+    """Return the median and the largest of what is known."""
     sigma = sigma[np.isfinite(sigma)]
     return (float(np.median(sigma)), float(sigma.max())) if len(sigma) else None
 
 
 def quality(result: Calibration) -> str:
     """Say in a sentence or two how well the camera projects: in pixels, and far ahead."""
-    found = projection_sigmas(result)
+    found = _projection(result)
     if found is None:
         return ''
-    median, worst = found
-    focal_px = float(np.sqrt(abs(result.camera.K[0, 0] * result.camera.K[1, 1])))
-    near, far = (_length_text(10 * sigma / focal_px) for sigma in found)
+    in_pixels = _middle_and_worst(found.sigma_px)
+    in_angle = _middle_and_worst(found.direction_sigma_rad(result.camera))
+    if in_pixels is None or in_angle is None:
+        return ''
+    median, worst = in_pixels
+    near, far = (_length_text(10 * sigma_rad) for sigma_rad in in_angle)
     sentence = (f'Where a point of the scene appears in the image is known to ± {px_text(median)} '
                 f'in the median and ± {px_text(worst)} at worst (one σ): ± {near} and ± {far} '
-                'sideways at 10 m.')
+                'sideways at a range of 10 m.')
     noise = result.noise_sigma_px
     if not noise > 0 or not np.isfinite(noise):
         return sentence

@@ -24,6 +24,7 @@ from selfcal_ros.report.figures import draw_figures, draw_tables
 from selfcal_ros.report.object_views import distance_and_tilt
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.pose_course import pose_course, roll_pitch_yaw
+from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.radial_residuals import radial_figure, radial_residuals
 from selfcal_ros.report.ranges import angular_sigmas, ranges_table
 from selfcal_ros.report.residual_figures import residual_figure
@@ -117,6 +118,29 @@ def test_what_is_uncertain_at_a_range(calibration):
     assert near[2] == pytest.approx(1e3 * sigmas['near the corners'], rel=0.06)
     assert '0.33 %' in table.caption
     assert ranges_table(replace(one, covariance=np.full_like(one.covariance, np.inf))) is None
+
+
+@pytest.mark.parametrize('model', ['plumb_bob', 'equidistant'])
+def test_the_direction_of_a_ray_is_as_uncertain_as_its_pixel_says(model):
+    # the error of the worst pixel times the most that any pixel turns a ray is twice as much
+    camera = Camera.from_parameters([300, 300, 319.5, 99.5, 0] + [0] * (
+        5 if model == 'plumb_bob' else 4), 640, 200, model)
+    C = np.diag([9.0, 9.0, 1.0, 1.0] + [0] * (len(camera.parameter_names) - 4))
+    found = projection_uncertainty(camera, C, 9)
+    sigma = found.direction_sigma_rad(camera)
+
+    for i, j in ((0, 0), (1, 4), (2, 8)):
+        pixel = np.array([found.u[j], found.v[i]])
+        x, y = (pixel - [319.5, 99.5]) / 300
+        if model == 'plumb_bob':
+            ray = np.array([x, y, 1]) / np.sqrt(1 + x * x + y * y)
+            slope = np.array([[1, 0], [0, 1], [0, 0]]) / 300 / np.sqrt(1 + x * x + y * y)
+            A = slope - np.outer(ray, ray @ slope)
+        else:
+            A = (camera.rays(pixel + 1e-4 * np.eye(2))
+                 - camera.rays(pixel - 1e-4 * np.eye(2))).T / 2e-4
+        exact = np.sqrt(np.linalg.eigvalsh(A @ found.covariance[i, j] @ A.T)[-1])
+        assert sigma[i, j] == pytest.approx(exact, rel=1e-4)
 
 
 def test_the_course_has_the_turns_and_steps_of_the_path(calibration, sequence):

@@ -36,6 +36,7 @@ from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict, with_sigma
+from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.scene import scene_of
 from selfcal_ros.report.summary import distortion, matrix, projection_sigmas, px_text, quality
 
@@ -309,8 +310,11 @@ def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibrati
     assert 0 < median < worst < 2 * 400 / 900 * 1.2
     sentence = quality(one)
     assert f'± {worst:.1f} px at worst' in sentence or f'± {worst:.2f} px at worst' in sentence
-    # a pixel is 10 m / 900 wide there
-    assert f'{1000 * worst * 10 / 900:.1f} mm' in sentence
+    # a pixel is 10 m / 900 wide in the middle, and less beside it
+    found = projection_uncertainty(one.camera, one.covariance)
+    farthest_m = 10 * np.nanmax(found.direction_sigma_rad(one.camera))
+    assert farthest_m < worst * 10 / 900
+    assert f'{1000 * farthest_m:.1f} mm sideways at a range of 10 m' in sentence
     assert 'there is room' in sentence
     assert 'there is room' not in quality(replace(one, noise_sigma_px=1.0))
     assert quality(replace(one, covariance=np.full(COVARIANCE_SHAPE, np.inf))) == ''
