@@ -39,6 +39,26 @@ SMOOTHING_SHARE, MOST_SMOOTHING_PX = 0.28, 1.0
 _Find = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
+@dataclass
+class _Board:
+    """
+    One way in which such a board was ever drawn.
+
+    Attributes
+    ----------
+    find : callable
+    corners : int
+        That were found so far, in all images.
+    is_used : bool
+        Whether an image was read so.
+
+    """
+
+    find: _Find
+    corners: int = 0
+    is_used: bool = False
+
+
 @dataclass(frozen=True)
 class Charuco:
     """
@@ -67,7 +87,7 @@ class Charuco:
     square_m: float
     marker_m: float
     dictionary: str = ''
-    _boards: list[_Find] = field(default_factory=list, repr=False, compare=False)
+    _boards: list[_Board] = field(default_factory=list, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse impossible boards, and prepare the possible ones."""
@@ -93,7 +113,7 @@ class Charuco:
             markers = aruco.getPredefinedDictionary(number)
             capacity = len(markers.bytesList)
             if (self.columns + 1) * (self.rows + 1) // 2 <= capacity:
-                self._boards.extend(_charuco_boards(self, markers))
+                self._boards.extend(map(_Board, _charuco_boards(self, markers)))
         if not self._boards:
             raise ArgumentError('A ChArUco board of so many squares needs more markers than '
                                 'the dictionary holds.')
@@ -105,20 +125,36 @@ class Charuco:
                            plane(self.columns, self.rows, self.square_m))
 
     def find(self, image: np.ndarray, thorough: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """Find corners as `Chessboard.find` does; a part of the board suffices."""
-        best = nothing()
-        for finder in list(self._boards):
-            found = finder(image)
-            if len(found[0]) > len(best[0]):
-                clear_px = self._clear_px(*found)
-                best = found[0], refined(_smoothed(image, clear_px), found[1], clear_px)
-                # next time first, and alone once most of the board was seen
-                self._boards.remove(finder)
-                self._boards.insert(0, finder)
-                if len(best[0]) > 0.5 * self.columns * self.rows:
-                    del self._boards[1:]
-                    break
-        return best
+        """
+        Find corners as `Chessboard.find` does; a part of the board suffices.
+
+        A part of a board with an even number of rows may suit both layouts that such boards have
+        had: see `is_read_alike`.
+        """
+        found = [board.find(image) for board in self._boards]
+        counts = [len(identity) for identity, _ in found]
+        # where several find as many, that which has found the most so far
+        best = max(range(len(found)), key=lambda k: (counts[k], self._boards[k].corners))
+        if not counts[best]:
+            return nothing()
+        self._boards[best].is_used = True
+        for board, count in zip(self._boards, counts):
+            board.corners += count
+        most = max(board.corners for board in self._boards)
+        self._boards[:] = [board for board in self._boards
+                           if board.is_used or board.corners > most - self.rows]
+        identity, xy = found[best]
+        clear_px = self._clear_px(identity, xy)
+        return identity, refined(_smoothed(image, clear_px), xy, clear_px)
+
+    @property
+    def is_read_alike(self) -> bool:
+        """Whether all images so far were read as of the board that fits them best."""
+        return sum(board.is_used for board in self._boards) < 2
+
+    def settle(self) -> None:
+        """Take the board that has fitted best for the only one; who asks searches again."""
+        self._boards[:] = [max(self._boards, key=lambda board: board.corners)]
 
     def _clear_px(self, identity: np.ndarray, xy: np.ndarray) -> float:
         """How far from a corner there is nothing but its own edges, pixels."""

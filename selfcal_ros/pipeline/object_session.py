@@ -43,6 +43,8 @@ MAX_NAMES = 500
 
 #: Identities of points (N,), and where they are in the image, (N, 2).
 _Points: TypeAlias = tuple[np.ndarray, np.ndarray]
+#: The frame, and the points in it.
+_View: TypeAlias = tuple[int, np.ndarray, np.ndarray]
 
 
 def read_object_views(path: str | Path, target: Target, topic: str | None = None,
@@ -119,7 +121,7 @@ class _Seen:
 
     """
 
-    views: list[tuple[int, np.ndarray, np.ndarray]] = field(default_factory=list)
+    views: list[_View] = field(default_factory=list)
     stamps_ns: dict[int, int] = field(default_factory=dict)
     missed: list[tuple[str, int]] = field(default_factory=list)
     looked: int = 0
@@ -157,7 +159,23 @@ def _search(source: FrameSource, target: Board, mask: ImageMask | None,
         last = identity, xy
         seen.views.append((frame.index, identity, xy))
         seen.stamps_ns[frame.index] = frame.stamp_ns
+    # OpenCV is loaded by now
+    from selfcal_ros.features.charuco import Charuco
+    if isinstance(target, Charuco) and not target.is_read_alike:
+        target.settle()
+        seen.views = _found_again(source, target, mask, seen.views)
     return seen
+
+
+def _found_again(source: FrameSource, target: Board, mask: ImageMask | None,
+                 views: list[_View]) -> list[_View]:
+    """Find the points of all views again, now that it is known how the board was drawn."""
+    again = []
+    for frame in source.only(index for index, *_ in views):
+        identity, xy = _found(target, frame.image, True, mask)
+        if len(identity):
+            again.append((frame.index, identity, xy))
+    return again
 
 
 def _found(target: Board, image: np.ndarray, thorough: bool, mask: ImageMask | None) -> _Points:

@@ -22,6 +22,7 @@ from selfcal_ros.features.targets import Chessboard, parse_target, PointList, re
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.pipeline.object_session import read_object_views
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
 from selfcal_ros.values.tracks import Tracks
@@ -89,6 +90,28 @@ def test_charuco_corners_are_where_they_were_drawn(dictionary):
     assert np.median(np.linalg.norm(xy - drawn, axis=1)) < 0.1
     again, _ = board.find(image)
     assert (again == identity).all()
+
+
+@pytest.mark.skipif(not hasattr(getattr(cv2, 'aruco', None), 'CharucoDetector'),
+                    reason='this OpenCV draws boards in one way')
+def test_parts_of_an_old_charuco_board_have_the_numbers_of_the_whole(tmp_path):
+    # a part without the last column suits both layouts, and was numbered by which image came first
+    aruco = cv2.aruco
+    drawn = aruco.CharucoBoard((7, 4), 0.04, 0.03, aruco.getPredefinedDictionary(
+        aruco.DICT_5X5_100))
+    drawn.setLegacyPattern(True)
+    whole = cv2.copyMakeBorder(drawn.generateImage((700, 400)), 60, 60, 60, 60,
+                               cv2.BORDER_CONSTANT, value=255)
+    for k, (first, last) in enumerate([(0, 360), (200, 560), (0, 820), (0, 600)]):
+        image = np.full_like(whole, 255)
+        image[:, first:last] = whole[:, first:last]
+        cv2.imwrite(str(tmp_path / f'{k}.png'), image)
+    tracks = read_object_views(tmp_path, parse_target('charuco:6x3:0.04:0.03')).tracks
+
+    assert np.bincount(tracks.frame).min() > 4 and np.bincount(tracks.frame)[2] == 18
+    row, column = np.divmod(tracks.track, 6)
+    at = 60 + 100 * np.column_stack([column + 1, row + 1]) - 0.5
+    assert np.linalg.norm(tracks.xy - at, axis=1).max() < 1
 
 
 @pytest.mark.skipif(HAS_CHARUCO, reason='this OpenCV has ChArUco boards')
