@@ -73,12 +73,6 @@ def distortion(result: Calibration) -> list[Entry]:
     return [_entry(result, name) for name in result.camera.lens.coefficients]
 
 
-def projection_sigmas(result: Calibration) -> tuple[float, float] | None:
-    """Return the median and the largest sigma of projection over the image, px."""
-    found = _projection(result)
-    return None if found is None else _middle_and_worst(found.sigma_px)
-
-
 def _projection(result: Calibration) -> ProjectionUncertainty | None:
     """Return the uncertainty of projection over the image, where it is known."""
     camera, covariance = result.camera, np.asarray(result.covariance, float)

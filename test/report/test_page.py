@@ -38,7 +38,7 @@ from selfcal_ros.report.page import page_html, write_page
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict, with_sigma
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.scene import scene_of
-from selfcal_ros.report.summary import distortion, matrix, projection_sigmas, px_text, quality
+from selfcal_ros.report.summary import distortion, matrix, px_text, quality
 
 #: Of a covariance of all parameters.
 COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
@@ -306,12 +306,12 @@ def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibrati
             NotCalibrated('No.').grade) == ('good', 'partial', 'bad')
     # half a pixel everywhere, as a rotation hides none of a change of scale alone
     one = replace(calibration, covariance=np.diag([4.0] + [0] * (len(PARAMETER_NAMES) - 1)))
-    median, worst = projection_sigmas(one)
+    found = projection_uncertainty(one.camera, one.covariance)
+    median, worst = np.median(found.sigma_px), found.sigma_px.max()
     assert 0 < median < worst < 2 * 400 / 900 * 1.2
     sentence = quality(one)
     assert f'± {worst:.1f} px at worst' in sentence or f'± {worst:.2f} px at worst' in sentence
     # a pixel is 10 m / 900 wide in the middle, and less beside it
-    found = projection_uncertainty(one.camera, one.covariance)
     farthest_m = 10 * np.nanmax(found.direction_sigma_rad(one.camera))
     assert farthest_m < worst * 10 / 900
     assert f'{1000 * farthest_m:.1f} mm sideways at a range of 10 m' in sentence
