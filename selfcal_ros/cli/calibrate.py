@@ -24,7 +24,7 @@ from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.force import (add_force_argument, check_outputs, check_suffix,
-                                   written_line)
+                                   output_path, written_line)
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.parsing import add_seed_argument
@@ -103,15 +103,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_many_arguments(parser)
     add_rig_arguments(parser)
     output = parser.add_argument_group('output')
-    output.add_argument('--output', type=Path, metavar='CAMERA.YAML',
+    output.add_argument('--output', type=output_path, metavar='CAMERA.YAML',
                         help='calibration file for camera drivers (default camera.yaml)')
     output.add_argument('--camera-name', default='camera', help='name inside CAMERA.YAML')
     add_json_argument(output)
-    output.add_argument('--report', type=Path, metavar='REPORT.HTML',
+    output.add_argument('--report', type=output_path, metavar='REPORT.HTML',
                         help='everything, for a person')
     add_scene_arguments(output)
     add_mount_outputs(output)
-    output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
+    output.add_argument('--view', type=output_path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
                         help='open the Rerun viewer with images, path and structure, or write '
                              'SCENE.RRD for it (extra: view)')
     add_force_argument(output)

@@ -21,7 +21,7 @@ from pathlib import Path
 import sys
 from typing import Any, TYPE_CHECKING
 
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, output_path
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
 from selfcal_ros.cli.status import EXIT_DIFFER, EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'together (default: the status is 0 however far they are apart)')
     output = parser.add_argument_group('output')
     add_json_argument(output)
-    output.add_argument('--picture', type=Path, metavar='PICTURE.PNG',
+    output.add_argument('--picture', type=output_path, metavar='PICTURE.PNG',
                         help='the difference over the image, in pixels and in sigmas, as .png or '
                              '.svg')
     add_quiet_argument(output, 'print nothing but errors')

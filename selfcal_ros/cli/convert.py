@@ -26,7 +26,7 @@ import re
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.force import add_force_argument, check_outputs, output_path
 from selfcal_ros.cli.parsing import text, topic_name
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'of selfcal; or where a camera is on a robot: result.json, a URDF, '
                              'YAML of static_transform_publisher, files of easy_handeye and '
                              'MoveIt')
-    parser.add_argument('output', type=Path, metavar='OUTPUT',
+    parser.add_argument('output', type=output_path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
     parser.add_argument('--topic', type=topic_name,
                         help='image topic of a bag, to be read, and written under its name; any '

@@ -27,7 +27,7 @@ import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from selfcal_ros.cli.force import add_force_argument, output_folder, written_line
+from selfcal_ros.cli.force import add_force_argument, output_folder, output_path, written_line
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of
@@ -48,7 +48,7 @@ RECORDINGS = {'agv': ('bags/agv_drive', 'planar_calibrator'),
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal demo`."""
-    parser.add_argument('--output-dir', type=Path, default=OWN_FOLDER, metavar='FOLDER',
+    parser.add_argument('--output-dir', type=output_path, default=OWN_FOLDER, metavar='FOLDER',
                         help='for camera.yaml, result.json and report.html (default selfcal_demo)')
     parser.add_argument('--recording', choices=[*sorted(RECORDINGS), 'object'], default='agv',
                         help='calibrate on a robot that drives, or on an arm that moves; or '

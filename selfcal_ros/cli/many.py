@@ -22,7 +22,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
-from selfcal_ros.cli.force import check_outputs, output_folder
+from selfcal_ros.cli.force import check_outputs, output_folder, output_path
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from selfcal_ros.pipeline.many_inputs import Outcome, Summary
 
 DEFAULT_FOLDER = 'calibrations'
+#: Name of the files about all recordings.
+SUMMARY = 'summary'
 
 
 def add_many_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +42,7 @@ def add_many_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         'many recordings', 'Several INPUTs, a folder of recordings, or a quoted pattern: each is '
         'calibrated, in parallel processes, and each camera (image topic and size) jointly.')
-    group.add_argument('--output-dir', type=Path, metavar='FOLDER',
+    group.add_argument('--output-dir', type=output_path, metavar='FOLDER',
                        help='for the camera file and the result of each recording and of each '
                             'camera, and summary.html, .png and .json (default '
                             f'{DEFAULT_FOLDER})')
@@ -75,6 +77,9 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings: CalibrationS
             raise ArgumentError(f'--{name} is for a single recording; with many, --output-dir '
                                 'takes the files.')
     check_camera_name(args.camera_name)
+    if args.camera_name == SUMMARY:
+        raise ArgumentError(f'The name {SUMMARY} is that of the table of all recordings; give the '
+                            'camera another one.')
     folder = args.output_dir or Path(DEFAULT_FOLDER)
 
     def check_folder() -> None:
@@ -100,7 +105,7 @@ def _run_in(folder: Path, args: argparse.Namespace, paths: list[Path],
     inputs = (*paths, args.mask)
     check_outputs((), inputs, args.force, (page, folder / 'summary.json', args.json))
     quiet = args.quiet or is_standard_output(args.json)
-    files = _RecordingFiles(folder / 'recordings', settings.seed, args.poses_format)
+    files = _RecordingFiles(folder / 'recordings', paths, settings.seed, args.poses_format)
     with Progress.of(args) as progress:
         summary = calibrate_many(paths, settings, each=files.write, progress=progress,
                                  engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
@@ -139,8 +144,10 @@ def _result_in(folder: Path, summaries: bool) -> Path | None:
 class _RecordingFiles:
     """Writes the result of each recording as it comes, so that none is lost."""
 
-    def __init__(self, folder: Path, seed: int, poses: str | None) -> None:
+    def __init__(self, folder: Path, paths: list[Path], seed: int, poses: str | None) -> None:
         self._folder, self._seed, self._poses = folder, seed, poses
+        stems = [path.stem for path in paths]
+        self._numbers = {str(path): stems[:k + 1].count(path.stem) for k, path in enumerate(paths)}
         self._names: set[str] = set()
         self.count = 0
 
@@ -152,12 +159,10 @@ class _RecordingFiles:
         if outcome.result is None:
             return
         self.count += 1
-        base = _plain_name(f'{Path(outcome.path).stem} {outcome.topic}')
-        name, number = base, 1
-        while name in self._names:
-            number += 1
-            name = f'{base}_{number}'
-        self._names.add(name)
+        # of the same name in other folders: by the order of the inputs, whichever is ready first
+        number = self._numbers.get(outcome.path, 1)
+        stem = Path(outcome.path).stem + (f' {number}' if number > 1 else '')
+        name = _free_name(_plain_name(f'{stem} {outcome.topic}'), self._names)
         write_result_json(self._folder / f'{name}.json', outcome.result, self._seed)
         if not outcome.result:
             return
@@ -177,6 +182,16 @@ def _plain_name(text: str) -> str:
     return re.sub(r'\W+', '_', text).strip('_')[:60].strip('_') or 'recording'
 
 
+def _free_name(base: str, names: set[str]) -> str:
+    """Return a name that none has yet, numbered if need be, and remember it."""
+    name, number = base, 1
+    while name in names:
+        number += 1
+        name = f'{base}_{number}'
+    names.add(name)
+    return name
+
+
 def file_name(text: str) -> str:
     """Turn a topic or another text into a name of letters, digits and underscores."""
     return re.sub(r'[^A-Za-z0-9]+', '_', text).strip('_')
@@ -190,13 +205,15 @@ def _write_cameras(summary: Summary, folder: Path, camera_name: str) -> list[Pat
     from selfcal_ros.report.parameter_history import parameter_history, picture
     from selfcal_ros.report.result_json import write_result_json
     from selfcal_ros.values.output_files import atomic_write
-    written = []
+    written: list[Path] = []
+    names: set[str] = set()
     for camera in summary.cameras:
         if camera.joint is None:
             continue
         lone = len(summary.cameras) == 1
         name = camera_name if lone else file_name(
             f'{camera.topic or camera_name} {camera.image_size[0]}x{camera.image_size[1]}')
+        name = _free_name(name, names)
         result = camera.joint.calibration
         written += [
             write_camera_yaml(folder / f'{name}.yaml', result.camera, name,

@@ -19,7 +19,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.force import add_force_argument, check_outputs, output_path
 from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -57,9 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--no-faces', action='store_true',
                        help='make no opaque faces of the lines that are found')
     output = parser.add_argument_group('output')
-    output.add_argument('--output', type=Path, default=Path('object.cao'), metavar='OBJECT.CAO',
+    output.add_argument('--output', type=output_path, default=Path('object.cao'),
+                        metavar='OBJECT.CAO',
                         help='the model, as .cao or .yaml (default object.cao)')
-    output.add_argument('--obj', type=Path, metavar='OBJECT.OBJ',
+    output.add_argument('--obj', type=output_path, metavar='OBJECT.OBJ',
                         help='the model for programs that draw it')
     add_force_argument(output, 'replace the model if it exists')
     add_quiet_argument(output)

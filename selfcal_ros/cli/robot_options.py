@@ -16,9 +16,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from selfcal_ros.cli.force import output_path
 from selfcal_ros.cli.parsing import text
 from selfcal_ros.errors import ArgumentError
 
@@ -58,7 +58,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_mount_outputs(group: argparse._ActionsContainer) -> None:
     """Add the files of the mount to the outputs of `selfcal calibrate`."""
-    group.add_argument('--mount-output', type=Path, metavar='FILE',
+    group.add_argument('--mount-output', type=output_path, metavar='FILE',
                        help='where the camera is on the robot: .urdf (a joint), .yaml '
                             '(parameters of static_transform_publisher), .launch.py (as MoveIt '
                             'writes it) or .calib (easy_handeye2); where it is not known, the '

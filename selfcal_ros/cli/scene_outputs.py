@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.facts import FREE
-from selfcal_ros.cli.force import check_suffix, make_folder
+from selfcal_ros.cli.force import check_suffix, make_folder, output_path
 from selfcal_ros.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
@@ -40,19 +40,19 @@ SPARSE_POINTS = 'sparse_pc.ply'
 
 def add_scene_arguments(group: argparse._ActionsContainer) -> None:
     """Add the options of path and structure."""
-    group.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
+    group.add_argument('--ply', type=output_path, metavar='STRUCTURE.PLY',
                        help='the points of the scene with their colours, and the cameras; the '
                             'median step between views is 1, or in metres with --robot')
-    group.add_argument('--poses', type=Path, metavar='FILE',
+    group.add_argument('--poses', type=output_path, metavar='FILE',
                        help='where the camera was in every image that was used: .tum or .txt '
                             '(stamp tx ty tz qx qy qz qw), or .csv with covariances')
     group.add_argument('--poses-format', choices=('tum', 'euroc', 'csv'),
                        help='format of --poses, if its name does not tell; euroc has w first; '
                             'with many recordings, poses of each in this format')
-    group.add_argument('--colmap', type=Path, metavar='FOLDER',
+    group.add_argument('--colmap', type=output_path, metavar='FOLDER',
                        help='text model of COLMAP; images of a bag or a video as PNG in '
                             'FOLDER/images; of several cameras rig_config.json')
-    group.add_argument('--transforms', type=Path, metavar='TRANSFORMS.JSON',
+    group.add_argument('--transforms', type=output_path, metavar='TRANSFORMS.JSON',
                        help='cameras for nerfstudio and its like, with '
                             f'{SPARSE_POINTS} beside it; images as with --colmap')
 

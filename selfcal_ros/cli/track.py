@@ -23,7 +23,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import check_outputs, check_suffix, written_line
+from selfcal_ros.cli.force import check_outputs, check_suffix, output_path, written_line
 from selfcal_ros.cli.parsing import add_seed_argument, start_pose
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -82,10 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                             '(default: learned)')
     add_seed_argument(group)
     output = parser.add_argument_group('output')
-    output.add_argument('--output', type=Path, default=Path('poses.csv'), metavar='POSES.CSV',
+    output.add_argument('--output', type=output_path, default=Path('poses.csv'),
+                        metavar='POSES.CSV',
                         help='pose of the object in every image (default poses.csv); of several '
                              'objects a table each, poses_NAME.csv')
-    output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
+    output.add_argument('--overlay', type=output_path, metavar='VIDEO.MP4',
                         help='the images with the object drawn over them')
     add_quiet_argument(output)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,8 +150,8 @@ def track_rig_recordings(inputs: Sequence[RigInput], cameras: Sequence[PlacedCam
 
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(
-            one.path, one.topic, colour=bool(overlays), excerpt=excerpt or Excerpt()))
-            for one in inputs]
+            one.path, one.topic, colour=bool(overlays),
+            excerpt=replace(excerpt or Excerpt(), half=one.half))) for one in inputs]
         listeners = [add, *listeners]
         for which, (overlay, source) in enumerate(zip(overlays, sources)):
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))

@@ -368,6 +368,10 @@ REMARKS: dict[str, Phrase] = {
         'Damaged and left out: {count} image{count:plural}, the first is {first}. {why}.',
         'A truncated image decodes with a grey rest, in which wrong points would be found.',
         'Nothing, if they are few. If they are many, look at the disk and the transport.'),
+    'video_ends_early': Phrase(
+        'The video ends after {frames} of {announced} frames: what follows cannot be decoded.',
+        'It was cut off or is damaged; its header tells of all frames.',
+        'Copy it anew, or record again: the rest would make the camera surer.'),
     'images_interlaced': Phrase(
         'Interlaced: {count} image{count:plural}. Their odd rows are of another instant, and only '
         'the even ones were used.',
@@ -545,6 +549,10 @@ REMARKS: dict[str, Phrase] = {
         'for it.',
         'A camera that is late sees the rig where it is later.',
         'Trigger the cameras together, or correct their stamps.'),
+    'images_halved': Phrase(
+        'Each image was taken for two, its {first} and its {second} half.',
+        'Stereo cameras put both views beside each other into one image.',
+        'Nothing; of images of one camera give the topic or the folder of each camera.'),
     'rig_own_clock': Phrase(
         'The camera {camera} is not triggered with {first}: their images are {apart_ms:.3g} ms '
         'apart (median). Positions were moved along their tracks to the instants of {first}.',

@@ -121,6 +121,9 @@ def _write(folder: Path, frames: Iterable[Frame], topic: str, storage: str,
         connection = writer.add_connection(f'{topic}/compressed' if compressed else topic,
                                            kind, typestore=store)
         for frame in frames:
+            if frame.stamp_ns < 0 and storage == 'mcap':
+                raise InputError(f'{frame.name or "An image"} has a stamp before 1970, which MCAP '
+                                 'cannot hold; choose --storage sqlite3.')
             header = header_message(frame.stamp_ns, frame.frame_id or frame_id, types)
             image = frame.image if frame.bgr is None else frame.bgr
             if compressed:

@@ -30,6 +30,8 @@ Half = Literal['left', 'right', 'top', 'bottom']
 HALVES: tuple[Half, ...] = get_args(Half)
 #: Stamps of a bag may lie so far out of order, seconds; reading goes on for so long.
 DISORDER_S = 1.0
+#: A stamp far beyond the end may be a wrong one; after so many in a row nothing is to come.
+SURELY_OVER = 10
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class Reading:
         self._last = max(wanted, default=-1) if isinstance(wanted, set) else None
         self._first_ns: int | None = None
         self.past_s = 0.0
-        self.used = self._inside = 0
+        self.used = self._inside = self._beyond = 0
 
     def uses(self, index: int, stamp_ns: int) -> bool:
         """Tell whether an image is to be decoded."""
@@ -149,7 +151,7 @@ class Reading:
         if after_s < 0 or self._excerpt.duration_s is not None and \
                 after_s >= self._excerpt.duration_s:
             return False
-        self._inside += 1
+        self._inside, self._beyond = self._inside + 1, 0
         if (self._inside - 1) % self._excerpt.every:
             return False
         self.used += 1
@@ -160,4 +162,7 @@ class Reading:
         if self._last is not None and index >= self._last:
             return True
         end = self._excerpt.duration_s
-        return end is not None and self.past_s > self._excerpt.start_s + end + DISORDER_S
+        if end is None or self.past_s <= self._excerpt.start_s + end + DISORDER_S:
+            return False
+        self._beyond += 1
+        return self._beyond >= SURELY_OVER

@@ -27,6 +27,7 @@ import cv2
 from msg_adapters.image import ImageDecoder
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import ClockName, Frame, FrameSource
 from selfcal_ros.values.foreign_files import read_limited
@@ -40,6 +41,8 @@ VIDEO_SUFFIXES = ('.mp4', '.avi', '.mkv', '.mov', '.m4v', '.webm', '.mpg', '.mpe
 MAX_VIDEO_PIXELS = 2 ** 26
 #: Image files have no clock; their stamps count frames at this rate.
 NOMINAL_RATE_HZ = 30
+#: The header of a video may announce so many frames more than there are.
+MISCOUNTED = 5
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -171,6 +174,7 @@ class VideoSource(FrameSource):
         self.clock = 'video' if self._rate_hz == rate else 'nominal'
         about = f'about {self.count} frames' if self.count else 'length unknown'
         self.description = f'video {self.path.name}, {about} at {self._rate_hz:.4g} Hz'
+        self._announced, self._ended = self.count or 0, 0
         self._cut(self._rate_hz)
         if not self._see_first():
             raise InputError(f'{self.path} opens as a video, but no frame can be decoded; it is '
@@ -203,6 +207,7 @@ class VideoSource(FrameSource):
                 stamp = round(index * 1e9 / self._rate_hz)
                 try:
                     if not capture.grab():
+                        self._ended = index
                         return
                     if not reading.uses(index, stamp):
                         if reading.is_over(index):
@@ -213,12 +218,20 @@ class VideoSource(FrameSource):
                     raise InputError(f'{self.path}: frame {index} cannot be decoded '
                                      f'({error.err}).') from None
                 if not there:
+                    self._ended = index
                     return
                 image = bgr if bgr.ndim == 2 else cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
                 yield self._checked(Frame(index, stamp, image, '', f'frame {index}',
                                           bgr if self._colour else None))
         finally:
             capture.release()
+
+    def losses(self) -> tuple[Finding, ...]:
+        """Tell of frames that the header announces and the file does not hold."""
+        told = super().losses()
+        if not 0 < self._ended < self._announced - max(MISCOUNTED, self._announced // 10):
+            return told
+        return *told, Finding('video_ends_early', frames=self._ended, announced=self._announced)
 
 
 class TracksSource(FrameSource):

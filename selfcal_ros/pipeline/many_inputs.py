@@ -206,9 +206,15 @@ def _recordings_inside(path: Path) -> list[Path]:
         if not path.is_dir():
             return []
         entries = [entry for entry in path.iterdir() if not entry.name.startswith('.')]
-        files = [entry for entry in entries if entry.is_file()
-                 and entry.suffix.lower() in _RECORDINGS]
-        files += [entry for entry in entries if entry.is_dir() and is_bag_folder(entry)]
+        files = [entry for entry in entries if entry.suffix.lower() in _RECORDINGS
+                 and entry.is_file()]
+        bags = [entry for entry in files if entry.suffix.lower() in BAG_SUFFIXES]
+        bags += [entry for entry in entries if _is_bag_folder(entry)]
+        images = [entry for entry in entries if _is_single_image(entry)]
+        if not bags and len(images) > len(files):
+            # a table or a film beside images is about them; pictures of films are as many as those
+            return []
+        files = bags + [entry for entry in files if entry not in bags]
         # a rosbag2 folder, or the remains of one that lost its metadata
         if (path / 'metadata.yaml').is_file() or [entry.suffix for entry in files] in (
                 ['.mcap'], ['.db3']):
@@ -217,6 +223,14 @@ def _recordings_inside(path: Path) -> list[Path]:
     except (OSError, ValueError):
         # whoever opens it says what is wrong
         return []
+
+
+def _is_bag_folder(path: Path) -> bool:
+    """Tell whether that is a folder of a bag; one that may not be read is none."""
+    try:
+        return path.is_dir() and is_bag_folder(path)
+    except OSError:
+        return False
 
 
 def calibrate_job(job: Job) -> list[Outcome]:

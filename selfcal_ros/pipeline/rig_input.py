@@ -149,8 +149,11 @@ def _in_folder(path: str, words: list[str]) -> list[RigInput]:
 def _of_halves(path: str, words: list[str]) -> list[RigInput]:
     """Take two halves of each image; none where they are not named, or cameras have their own."""
     halves = next((pair for pair in _PAIRS if sorted(pair) == sorted(words)), ())
-    if not halves or not Path(path).exists() or Path(path).suffix.lower() == '.csv' or (
-            is_bag(Path(path)) and len(image_topics(Path(path))) != 1):
+    if not halves or not Path(path).exists() or Path(path).suffix.lower() == '.csv':
+        return []
+    topics = list(image_topics(Path(path))) if is_bag(Path(path)) else ['']
+    # a topic of the left camera alone has no halves: the right one was not recorded
+    if len(topics) != 1 or set(words) & set(topics[0].split('/')):
         return []
     return [RigInput(half, path, half=half) for half in sorted(halves, key=words.index)]
 
@@ -290,7 +293,13 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                           apart_ms=at.apart_ms)
                   for one, at in zip(inputs, found) if at.own_clock)
     return RigReading(dict(extracted.tracks), extracted.shared > 0, description,
-                      extracted.findings + apart, topics, sources[0].clock)
+                      extracted.findings + apart + _halved(inputs), topics, sources[0].clock)
+
+
+def _halved(inputs: Sequence[RigInput]) -> tuple[Finding, ...]:
+    """Tell of images that hold the views of two cameras."""
+    halves = [one.half for one in inputs if one.half]
+    return (Finding('images_halved', first=halves[0], second=halves[1]),) if halves else ()
 
 
 def _of_tables(tables: Sequence[ExtractedTracks], max_keyframes: int | None,

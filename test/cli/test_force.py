@@ -148,6 +148,15 @@ def test_an_interrupted_demo_leaves_no_folder_of_logs(recording, monkeypatch):
     assert Path('selfcal_demo/log').is_dir()
 
 
+@pytest.mark.parametrize('words', [
+    ('calibrate', 'drive.csv', '--output', '-'), ('calibrate', 'drive.csv', '--report', '-'),
+    ('calibrate', 'drive.csv', '--ply', '-'), ('track', 'bag', '--output', '-'),
+    ('convert', 'camera.yaml', '-')])
+def test_no_file_is_called_as_the_standard_output(capsys, words):
+    assert selfcal(*words) == 2
+    assert "'-' is for --json alone" in capsys.readouterr().err
+
+
 def test_the_logs_of_the_last_demo_replace_those_of_earlier_ones():
     log = Path('folder/log')
     log.mkdir(parents=True)

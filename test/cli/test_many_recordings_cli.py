@@ -52,6 +52,21 @@ def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys
     assert content['cameras'][0]['joint'] == joint
 
 
+def test_no_file_takes_the_place_of_another(capsys, driven):
+    for number, folder in enumerate(('one', 'two')):
+        Path(folder).mkdir()
+        drive(np.random.default_rng(number), 0.2, 12, 150, 12).tracks.to_csv(
+            f'{folder}/drive.csv')
+    inputs = ('calibrate', 'one/drive.csv', 'two/drive.csv', *SIZE, '--lens', 'none')
+    assert selfcal(*inputs, '--output-dir', 'out') == 0
+    # numbered as the inputs are, whichever was ready first
+    for number, folder in enumerate(('one', 'two')):
+        found = Path('out/recordings', f'drive{"_2" * number}.yaml').read_text(encoding='utf-8')
+        assert f'{folder}/drive.csv' in found
+    assert selfcal(*inputs, '--output-dir', 'other', '--camera-name', 'summary') == 2
+    assert 'give the camera another' in capsys.readouterr().err
+
+
 def test_a_copy_of_a_recording_counts_once(capsys, driven):
     drive(np.random.default_rng(0), 0.2, 12, 150, 12).tracks.to_csv('a.csv')
     shutil.copy('a.csv', 'b.csv')

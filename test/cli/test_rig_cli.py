@@ -305,6 +305,11 @@ def test_halves_of_the_images_are_two_cameras(tmp_path):
     write_image_bag(tmp_path / 'bag', [Frame(0, 10**18, np.zeros((48, 64), np.uint8))],
                     '/stereo/image_raw')
     assert rig_inputs([str(tmp_path / 'bag')], 'left,right')[0].half == 'left'
+    # of a topic of one camera the other was not recorded
+    write_image_bag(tmp_path / 'lone', [Frame(0, 10**18, np.zeros((48, 64), np.uint8))],
+                    '/left/image_raw')
+    with pytest.raises(InputError, match='no image topics of a camera right'):
+        rig_inputs([str(tmp_path / 'lone')], 'left,right')
     # a folder, a topic of its own, or a name that is no half
     for name in ('left', 'right'):
         (images / name).mkdir()
@@ -329,6 +334,7 @@ def test_two_views_in_one_image_are_calibrated_together(tmp_path):
     settings = CalibrationSettings(facts=CameraFacts(1.0, 0.0, distortion='none'))
     found, _ = calibrate_rig_input(rig_inputs([str(tmp_path)], 'left,right'), settings,
                                    baseline=(0.12, 0.0))
+    assert 'images_halved' in [one.kind for one in found.findings]
     pose = found.poses['right'].T_rig_camera
     assert np.abs(pose[:3, 3] - [0.12, 0, 0]).max() < 0.001
     for name in ('left', 'right'):

@@ -13,6 +13,7 @@
 # limitations under the License.
 """The bag writer: whole bags or none; what it writes is read back in test_sources.py."""
 
+from dataclasses import replace
 import errno
 import tempfile
 
@@ -47,6 +48,15 @@ def test_a_folder_that_takes_no_bag_asks_for_another(tmp_path, monkeypatch):
     assert str(caught.value) == (
         f'{tmp_path / "bag"} cannot be written: the folder {tmp_path} refuses new files '
         '(Read-only file system); choose another folder.')
+
+
+def test_a_stamp_before_1970_is_for_sqlite3(tmp_path):
+    early = [replace(frames()[0], stamp_ns=-10**9)]
+    with pytest.raises(InputError, match='before 1970.* --storage sqlite3'):
+        write_image_bag(tmp_path / 'bag', early)
+    write_image_bag(tmp_path / 'bag', early, storage='sqlite3')
+    with open_source(tmp_path / 'bag') as source:
+        assert next(iter(source)).stamp_ns == -10**9
 
 
 def test_the_bag_writer_leaves_nothing_half_written(tmp_path):

@@ -83,6 +83,28 @@ def test_a_calibration_says_what_it_left_out(tmp_path, monkeypatch):
             if one.kind == 'images_damaged'] == [2]
 
 
+def test_a_video_that_ends_before_its_frames_is_told(tmp_path):
+    rng = np.random.default_rng(0)
+    path = tmp_path / 'whole.avi'
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*'MJPG'), 10, (160, 120))
+    for _ in range(60):
+        video.write(rng.integers(0, 256, (120, 160, 3), np.uint8))
+    video.release()
+    data = path.read_bytes()
+    (tmp_path / 'cut.avi').write_bytes(data[:len(data) // 3])
+    counts = []
+    for name in ('whole.avi', 'cut.avi'):
+        with open_source(tmp_path / name) as source:
+            counts.append(len(list(source)))
+            found = source.losses()
+    assert counts[0] == 60 and counts[1] < 25
+    told, = found
+    assert (told.kind, told.values) == ('video_ends_early', {'frames': counts[1],
+                                                             'announced': 60})
+    with open_source(tmp_path / 'whole.avi') as source:
+        assert len(list(source)) == 60 and not source.losses()
+
+
 def test_an_input_that_begins_damaged_is_refused(tmp_path):
     with pytest.raises(InputError, match='00.jpg: The image is truncated'):
         open_source(write_folder(tmp_path / 'input', [jpegs()[3], *jpegs()[8:]]))

@@ -295,6 +295,14 @@ def test_what_inputs_name(tmp_path, monkeypatch):
     assert find_recordings(['nowhere']) == ([Path('nowhere')], False)
     with pytest.raises(many_inputs.InputError, match='Nothing fits'):
         find_recordings(['no/*.mcap'])
+    # a table or a film beside images is about them, and pictures of tables are as many
+    images = tmp_path / 'images'
+    images.mkdir()
+    for name in ('0.png', '1.png', 'poses.csv'):
+        (images / name).touch()
+    assert find_recordings(['images']) == ([Path('images')], False)
+    (images / 'other.csv').touch()
+    assert find_recordings(['images'])[1]
     # a shell has taken a folder apart; beside recordings they are a line each
     for name in ('a.png', 'b.JPG'):
         (folder / name).touch()

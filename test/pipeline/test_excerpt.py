@@ -20,7 +20,7 @@ from selfcal_ros.cli.main import main
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
-from selfcal_ros.pipeline.excerpt import Excerpt
+from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.sources import open_source
 
@@ -72,6 +72,20 @@ def test_what_is_asked_for_is_read(recording, start, count, every, expected):
         # what was not chosen is not there, and the rest is not read in between
         assert _numbers(source.only([18, 7, 3, 500])) == [k for k in (3, 7, 18) if k in expected]
         assert not list(source.only([]))
+
+
+def test_one_stamp_far_ahead_ends_nothing():
+    stamps = 10**18 + 10**9 // RATE_HZ * np.arange(60)
+    stamps[4] += 3600 * 10**9
+    reading, used = Reading(Excerpt(0, 1.0)), []
+    for index, stamp in enumerate(stamps):
+        if reading.uses(index, int(stamp)):
+            used.append(index)
+        elif reading.is_over(index):
+            break
+    assert used == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    # images may be a second out of order, and ten in a row are beyond that
+    assert index == 30
 
 
 @pytest.mark.parametrize('half, rows, columns', [

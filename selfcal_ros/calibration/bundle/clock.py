@@ -24,6 +24,9 @@ from selfcal_ros.calibration.bundle.priors import Prior
 
 #: So many views around one tell how the camera moves there: a polynomial through all of them.
 STENCIL = 7
+#: A gap in time counts as so many usual intervals at most. A clock that was set meanwhile leaves
+#: decades, beside which all the instants on one side are the same number.
+LONGEST_GAP = 1e4
 
 
 def was_turned_upright(size: tuple[int, int]) -> bool:
@@ -88,7 +91,7 @@ def difference_weights(times: np.ndarray, most: int = STENCIL,
     Parameters
     ----------
     times : ndarray, shape (V,)
-        Ascending.
+        Ascending; gaps beyond `LONGEST_GAP` count as that.
     most : int
         Values that are used for one derivative, at most.
 
@@ -107,6 +110,10 @@ def difference_weights(times: np.ndarray, most: int = STENCIL,
     """
     views = len(times)
     count = min(most, views)
+    steps = np.diff(times)
+    if views > 1:
+        steps = np.minimum(steps, LONGEST_GAP * np.median(steps))
+    times = np.r_[0.0, np.cumsum(steps)]
     begin = np.clip(np.arange(views) - count // 2, 0, views - count)
     near = begin[:, None] + np.arange(count)
     apart = times[near] - times[:, None]
