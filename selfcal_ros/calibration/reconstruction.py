@@ -193,6 +193,28 @@ class Reconstruction:
     row_motion: RowMotion | None = field(default=None, repr=False, compare=False)
     shift_px: np.ndarray | None = field(default=None, repr=False, compare=False)
 
+    def when_seen(self, view: np.ndarray, point: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        """
+        Return points in the frame of the camera that saw them, when it read their line.
+
+        Parameters
+        ----------
+        view, point : ndarray of int, shape (N,)
+            Places among `frames` and `tracks`.
+        xy : ndarray, shape (N, 2)
+            Pixels, which tell the line.
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+            Times the last homogeneous coordinate of the point, whose sign is arbitrary.
+
+        """
+        X = np.einsum('nij,nj->ni', self.cam_from_world[view], self.points[point])
+        if self.row_motion is None:
+            return X
+        return self.row_motion.when_read(X, self.points[point, 3], view, xy)
+
 
 @dataclass(frozen=True)
 class StructureSample:

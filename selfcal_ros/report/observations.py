@@ -72,9 +72,7 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     point, known = _places(shape.tracks, tracks.track)
     both = seen & known
     view, point, xy = view[both], point[both], tracks.xy[both]
-    X = np.einsum('nij,nj->ni', shape.cam_from_world[view], shape.points[point])
-    if shape.row_motion is not None:
-        X = shape.row_motion.when_read(X, shape.points[point, 3], view, xy)
+    X = shape.when_seen(view, point, xy)
     # a homogeneous point has no sign: take the one that most of its views see where they look
     # as the camera of the mean focal length would see them
     scale, centre = result.magnification(tracks.frame[both])[:, None], result.camera.K[:2, 2]

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.worst import fit_of_images
 from selfcal_ros.synthetic.rolling_scenes import drive, hand, record
@@ -67,4 +68,6 @@ def test_observations_fit_as_the_calibration_says(case):
     assert told <= {finding.kind for finding in result.findings}
     assert rms_px == pytest.approx(result.reprojection_rms_px, rel=0.1)
     # how the camera moved at both ends has no witness on one side
+    assert len(metric_structure(result, tracks).points) > (
+        0.9 * len(result.reconstruction.points) if result.motion != 'rotation' else -1)
     assert fit_of_images(result, table).rejected[1:-1].sum() <= 0.01 * len(tracks.frame)

@@ -195,12 +195,15 @@ def _point_covariances(calibration: Calibration, tracks: Tracks, poses: np.ndarr
     point, known = _places(shape.tracks, tracks.track)
     both = seen & known & np.isfinite(points[point]).all(axis=1)
     view, point, xy = view[both], point[both], tracks.xy[both]
+    when_seen = shape.when_seen(view, point, xy) / shape.points[point, 3:]
     scale, centre = calibration.magnification(tracks.frame[both])[:, None], camera.K[:2, 2]
+    if shape.shift_px is not None:
+        xy = xy - shape.shift_px[view]
     xy = centre + (xy - centre) / scale
     X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
     # a homogeneous point far beyond the image may meet the fold of the distortion
     with np.errstate(invalid='ignore', over='ignore'):
-        miss = np.linalg.norm(camera.project(X) - xy, axis=1)
+        miss = np.linalg.norm(camera.project(when_seen) - xy, axis=1)
         near = miss < OUTLIER_SIGMAS * max(calibration.noise_sigma_px, 1e-9)
     view, point, X = view[near], point[near], X[near]
     J = Projection(Lens.of(camera), X).by_points() @ poses[view, :, :3]
