@@ -19,13 +19,15 @@ Messages of rclpy and of rosbags alike: only their fields count.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from msg_adapters.message_types import Message
 from msg_adapters.poses import pose_matrix
 from msg_adapters.stamps import stamp_ns
 
 import numpy as np
+
+from selfcal_ros.errors import InputError
 
 #: Types of messages that hold the pose of one body.
 ODOMETRY_TYPE = 'nav_msgs/msg/Odometry'
@@ -57,21 +59,36 @@ def body_pose(msg: Message) -> tuple[int, np.ndarray, str, str]:
             str(getattr(msg, 'child_frame_id', '')))
 
 
-def transforms(msg: Message) -> Iterator[tuple[int, np.ndarray, str, str]]:
+def transforms(msg: Message, drop: Callable[[str], object], is_static: bool = False,
+               ) -> Iterator[tuple[int, np.ndarray, str, str]]:
     """
     Yield stamp, matrix, parent and child frame of the transforms of a TFMessage.
 
-    The matrix takes points of the child to the parent.
+    The matrix takes points of the child to the parent. One message holds transforms of many
+    programs' frames, so one that is of no use does not cost the others.
 
-    Raises
-    ------
-    InputError
-        If a value is not finite, or a quaternion is not near unit length.
+    Parameters
+    ----------
+    msg : tf2_msgs/TFMessage
+    drop : callable
+        Called as drop(why) for each that is left out: a value is not finite, the quaternion is
+        not near unit length, or there is no stamp.
+    is_static : bool
+        They hold at all times, and need no stamp.
 
     """
     for one in msg.transforms:
-        yield (stamp_ns(one.header.stamp), pose_matrix(_AsPose(one.transform)),
-               str(one.header.frame_id).lstrip('/'), str(one.child_frame_id).lstrip('/'))
+        parent, child = (str(name).lstrip('/') for name in (one.header.frame_id,
+                                                            one.child_frame_id))
+        stamp = stamp_ns(one.header.stamp)
+        try:
+            if stamp <= 0 and not is_static:
+                raise InputError('There is no stamp; what publishes it must fill the header.')
+            matrix = pose_matrix(_AsPose(one.transform))
+        except InputError as error:
+            drop(f'{child} in {parent} at {stamp / 1e9:.3f} s: {error}')
+        else:
+            yield stamp, matrix, parent, child
 
 
 class _AsPose:

@@ -37,8 +37,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.values.tracks import Tracks
+from selfcal_ros.values.tracks import LARGEST_PX, Tracks
 
+#: The size travels as 16 bits a side.
+LARGEST_SIDE_PX = 2 ** 16 - 1
 _POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('id', '<u4'), ('image_width', '<u2'),
                    ('image_height', '<u2')])
 
@@ -100,8 +102,9 @@ def tracks_message(track: ArrayLike, xy: ArrayLike, image_size: tuple[int, int],
     if len(track) and not (track.dtype.kind in 'ui' and track.min() >= 0
                            and track.max() < 2 ** 32):
         raise ArgumentError('The identity of a track must be an integer from 0 to 2^32 - 1.')
-    if not all(0 < int(size) < 2 ** 16 for size in image_size):
-        raise ArgumentError(f'The image size must be positive and below 65536, not {image_size}.')
+    if not all(0 < int(size) <= LARGEST_SIDE_PX for size in image_size):
+        raise ArgumentError(f'The image size must be positive and at most {LARGEST_SIDE_PX}, not '
+                            f'{image_size}.')
     records = np.zeros(len(track), _POINT)
     records['x'], records['y'], records['id'] = xy[:, 0], xy[:, 1], track
     records['image_width'], records['image_height'] = image_size
@@ -115,7 +118,8 @@ def tracks_from_message(msg: Message) -> FrameTracks:
     Raises
     ------
     InputError
-        If the cloud has no x, y and id, a position is not finite, or an identity occurs twice.
+        If the cloud has no x, y and id, or an identity occurs twice. If a position is not finite
+        or on no image, or the size is none that images have.
 
     """
     records = cloud_records(msg, ('x', 'y', 'id'), ('image_width', 'image_height'))
@@ -124,18 +128,35 @@ def tracks_from_message(msg: Message) -> FrameTracks:
         bad = int(np.flatnonzero(~np.isfinite(xy).all(axis=1))[0])
         raise InputError(f'Point {bad} of the tracks message is not finite; check what publishes '
                          'it.')
+    far = np.abs(xy).max(axis=1, initial=0) > LARGEST_PX
+    if far.any():
+        bad = int(np.argmax(far))
+        raise InputError(f'Point {bad} of the tracks message is {np.abs(xy[bad]).max():.3g} '
+                         'pixels off the image; check what publishes it.')
     if records['id'].dtype.kind not in 'ui':
         raise InputError('The field id of a tracks message must be an integer.')
     track = records['id'].astype(np.int64)
     if len(np.unique(track)) < len(track):
         raise InputError('A track occurs twice in one tracks message; check what publishes it.')
-    size = None
-    if len(records) and {'image_width', 'image_height'} <= set(records.dtype.names or ()):
-        size = int(records['image_width'][0]), int(records['image_height'][0])
-        if (records['image_width'] != size[0]).any() or min(size) <= 0 or \
-                (records['image_height'] != size[1]).any():
-            raise InputError('The points of a tracks message disagree on the image size.')
-    return FrameTracks(track, xy, size, stamp_ns(msg.header.stamp), str(msg.header.frame_id))
+    return FrameTracks(track, xy, _image_size(records), stamp_ns(msg.header.stamp),
+                       str(msg.header.frame_id))
+
+
+def _image_size(records: np.ndarray) -> tuple[int, int] | None:
+    """Return width and height, if points tell them; InputError where these are of no image."""
+    if not len(records) or not {'image_width', 'image_height'} <= set(records.dtype.names or ()):
+        return None
+    widths, heights = records['image_width'], records['image_height']
+    if widths.dtype.kind not in 'ui' or heights.dtype.kind not in 'ui':
+        raise InputError('The fields image_width and image_height of a tracks message must be '
+                         'integers.')
+    size = int(widths[0]), int(heights[0])
+    if (widths != size[0]).any() or (heights != size[1]).any():
+        raise InputError('The points of a tracks message disagree on the image size.')
+    if not 0 < min(size) <= max(size) <= LARGEST_PX:
+        raise InputError(f'The image size of a tracks message cannot be {size[0]} x {size[1]}; '
+                         'check what publishes it.')
+    return size
 
 
 def collect_tracks(frames: Iterable[FrameTracks], first_index: int = 0) -> Tracks:

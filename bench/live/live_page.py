@@ -93,7 +93,8 @@ def _cases(images, nodes, url: str, seconds: float) -> list:
         status = DiagnosticArray(status=[DiagnosticStatus(
             name='planar_calibrator: calibration', message='calibrated',
             values=[KeyValue(key=key, value=value) for key, value in (
-                ('frames', '30'), ('resets', '0'), ('fx', '520'), ('fx sigma', '1'))])])
+                ('keyframes', '30'), ('resets', '0'), ('fx', '520'), ('fx sigma', '1'),
+                ('calibration file', 'camera.yaml'))])])
         stop = threading.Event()
 
         def play():

@@ -93,7 +93,7 @@ class CalibratorNode(Node):
         self._session = CalibrationSession(session_settings(self.parameters))
         self._stored = StoredCamera(self._file, self.get_logger()
                                     ) if self.parameters.begin_with_file else None
-        self._robot = RobotTopic(self, self._session, live_robot(self.parameters))
+        self._robot = RobotTopic(self, self._session, live_robot(self, self.parameters))
         self._mount = MountPublisher(self, self.parameters.publish_tf)
         self._scene = ScenePublisher(self, self.parameters.world_frame)
         self._worker = worker()
@@ -135,7 +135,7 @@ class CalibratorNode(Node):
         session_settings(new), monitor_settings(new)
         CalibrationFile(new.camera_name, new.output)
         check_service(self, new.set_camera_info_service)
-        live_robot(new)
+        live_robot(self, new)
         if new.publish_tf:
             transform_type('publish_tf')
 

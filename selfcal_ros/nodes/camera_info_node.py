@@ -94,7 +94,10 @@ class CameraInfoPublisher(Node):
             return
         self._modified_ns = modified_ns
         if not modified_ns:
-            self.get_logger().warning(f'{self._file.path} does not exist: K is zero until it does')
+            self.get_logger().warning(
+                f'{self._file.path} does not exist: ' +
+                ('K is zero until it does' if self._camera is None else
+                 'the last calibration stays in force until it does'))
             return
         try:
             self._camera, name = read_copied_camera(self._file.path)

@@ -25,7 +25,7 @@ from msg_adapters.diagnostics import diagnostics_message, OK, STALE, status_mess
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import Message, rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
-from msg_adapters.tracks import tracks_message
+from msg_adapters.tracks import LARGEST_SIDE_PX, tracks_message
 import numpy as np
 from rclpy.node import Node
 from selfcal_ros.errors import InputError
@@ -35,6 +35,7 @@ from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.features.mask import ImageMask, read_mask
 from selfcal_ros.features.two_views import TwoViewsWatch
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
+from selfcal_ros.nodes.given_paths import given_path
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.once_per_image import announcements_of
@@ -169,6 +170,11 @@ class FeatureTrackerNode(Node):
                 f'image dropped: {size[0]}x{size[1]} pixels are too few; '
                 f'{MINIMUM_SIDE_PX} a side are needed', throttle_duration_sec=5.0)
             return
+        if max(size) > LARGEST_SIDE_PX:
+            self.get_logger().warning(
+                f'image dropped: {size[0]}x{size[1]} pixels are too many; tracks can tell of '
+                f'{LARGEST_SIDE_PX} a side', throttle_duration_sec=5.0)
+            return
         if not self._sizes.takes(size, time.monotonic()):
             return
         if not self._is_in_order(stamp_ns(msg.header.stamp), size):
@@ -263,4 +269,4 @@ class FeatureTrackerNode(Node):
 
 def _mask_of(parameters: FeatureTrackerParameters) -> ImageMask | None:
     """Read the mask that parameters name; InputError where it cannot be read."""
-    return read_mask(parameters.mask) if parameters.mask else None
+    return read_mask(given_path(parameters.mask)) if parameters.mask else None

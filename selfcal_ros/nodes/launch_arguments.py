@@ -19,10 +19,15 @@ from collections.abc import Mapping
 from importlib.util import find_spec
 import os
 
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.nodes.given_paths import given_path, model_paths
+
 CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
 
 #: Arguments that name a file or folder, which must be there where it is given.
-_PATHS = ('bag', 'params_file', 'model', 'camera_file')
+_PATHS = ('bag', 'params_file', 'camera_file')
+#: Arguments that name what only one camera can have.
+_OF_ONE_CAMERA = ('image', 'camera_info', 'driver_camera_info', 'set_camera_info_service')
 
 
 def launch_problem(values: Mapping[str, str]) -> str:
@@ -38,10 +43,15 @@ def launch_problem(values: Mapping[str, str]) -> str:
         Of those arguments that there are, as text.
 
     """
-    for name in _PATHS:
-        path = os.path.expanduser(values.get(name, ''))
-        if path and not os.path.exists(path):
-            return f'{name}:={values[name]}: there is no such file or folder.'
+    paths = {name: [given_path(values.get(name, ''))] for name in _PATHS}
+    try:
+        paths['model'] = model_paths(values.get('model', ''))
+    except ArgumentError as error:
+        return str(error)
+    for name, those in paths.items():
+        for path in those:
+            if path and not os.path.exists(path):
+                return f'{name}:={path}: there is no such file or folder.'
     calibrator = values.get('calibrator', CALIBRATORS[0])
     if calibrator not in CALIBRATORS:
         return f'calibrator:={calibrator}: it must be one of {", ".join(CALIBRATORS)}.'
@@ -70,6 +80,26 @@ def shared_file_problem(names: list[str], output: str) -> str:
         return ''
     return (f"output:={output}: {len(names)} cameras cannot share one file; let the path hold "
             "${NAME}, in quotes: 'output:=/path/to/${NAME}.yaml'.")
+
+
+def shared_topic_problem(names: list[str], values: Mapping[str, str]) -> str:
+    """
+    Say that several cameras would have one topic or service; '' if each has its own.
+
+    Parameters
+    ----------
+    names : list of str
+        Of the cameras.
+    values : mapping of str
+        The arguments of each.
+
+    """
+    for argument in _OF_ONE_CAMERA if len(set(names)) > 1 else ():
+        given = values.get(argument, '')
+        if given.startswith('/'):
+            return (f'{argument}:={given}: {len(set(names))} cameras cannot share it; name it '
+                    f'relative to the namespace of each, such as {given.rpartition("/")[2]}.')
+    return ''
 
 
 def is_installed(package: str) -> bool:

@@ -30,6 +30,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.camera_info_input import CameraInfoInput
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
+from selfcal_ros.nodes.given_paths import given_path, model_paths
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.object_topics import begin, ObjectTopics, Start
@@ -46,7 +47,7 @@ from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import InstantMessages, TrackingWorker
 from selfcal_ros.pipeline.depth_pairing import DepthPairing
 from selfcal_ros.pipeline.rig_session import RigSession
-from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
+from selfcal_ros.pipeline.several_objects import object_names, parted_starts
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.report.camera_files.known_camera import read_known_camera
@@ -67,12 +68,12 @@ class ObjectTrackerNode(Node):
                                 '--ros-args -p model:=/path/to/model.cao')
         check_rig_parameters(p)
         self.types = rclpy_types()
-        paths = several(p.model)
+        paths = model_paths(p.model)
         self._models = [read_model(path, p.model_scale) for path in paths]
         for path, model in zip(paths, self._models):
             for remark in getattr(model, 'remarks', ()):
                 self.get_logger().warning(f'{path}: {remark}')
-        camera = read_known_camera(p.camera_file) if p.camera_file else None
+        camera = read_known_camera(given_path(p.camera_file)) if p.camera_file else None
         rig, of_rig = rig_of_file(p), camera_names(p.cameras)
         starts = starts_of(p.start_pose, len(paths), camera)
         sessions = [RigSession(model, rig, tracker_options(p)) if of_rig else
@@ -228,7 +229,7 @@ def starts_of(text: str, count: int, camera: Camera | None) -> list[Start]:
         return [None] * count
     # without clicks no camera is needed
     return [word if word == AUTO else
-            read_start(word, None, camera) if word else None  # type: ignore[arg-type]
+            read_start(given_path(word), None, camera) if word else None  # type: ignore[arg-type]
             for word in parted_starts(text, count)]
 
 

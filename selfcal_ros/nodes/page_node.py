@@ -41,6 +41,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CalibrationPageParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
+from selfcal_ros.nodes.ros_names import name_problem
 from selfcal_ros.report.live_state import LiveState
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 #: What the diagnostics of calibrators and trackers are called, after the name of the node.
 CALIBRATION, IMAGES = ': calibration', ': images'
+#: What a calibrator tells and no other node, whose diagnostics may end in the same word.
+OUR_VALUES = {'keyframes', 'calibration file'}
 #: Of so many tracks a second the page makes something.
 TRACKS_HZ = 5.0
 #: How often it looks after browsers, and tells them what is new.
@@ -64,6 +67,12 @@ class CalibrationPage(Node):
     def __init__(self) -> None:
         super().__init__('calibration_page')
         self.parameters = declare(self, CalibrationPageParameters)
+        named = self.parameters.calibrator.strip('/')
+        why = self._cannot_watch(named) if self.parameters.calibrator else ''
+        if why:
+            raise ArgumentError(f'The parameter calibrator cannot be '
+                                f'{self.parameters.calibrator!r:.80}: {why}; name a node, such as '
+                                '/left/planar_calibrator.')
         self._state = LiveState()
         self._calibrator = ''
         self._tracks: Subscription | None = None
@@ -77,8 +86,8 @@ class CalibrationPage(Node):
         follow(self, lambda new: None, lambda new, old: None)
         self.server = _page_server()(self.parameters.host, self.parameters.port, self._press)
         self.get_logger().info(f'the live page is at {self.server.url}')
-        if self.parameters.calibrator:
-            self._watch(self.parameters.calibrator.strip('/'))
+        if named:
+            self._watch(named)
 
     def destroy_node(self) -> None:
         """End the server, too."""
@@ -89,7 +98,8 @@ class CalibrationPage(Node):
         now = time.monotonic()
         for status in msg.status:
             if status.name.endswith(CALIBRATION):
-                self._consider(status.name.removesuffix(CALIBRATION))
+                if OUR_VALUES <= {one.key for one in status.values}:
+                    self._consider(status.name.removesuffix(CALIBRATION))
                 if status.name == self._calibrator + CALIBRATION:
                     self._state.take_status(
                         self._calibrator, status.hardware_id, status_level(status),
@@ -104,8 +114,14 @@ class CalibrationPage(Node):
         if self.parameters.calibrator or self._calibrator \
                 and _namespace(self._calibrator) == own:
             return
-        if not self._calibrator or _namespace(calibrator) == own:
+        if (not self._calibrator or _namespace(calibrator) == own) \
+                and not self._cannot_watch(calibrator):
             self._watch(calibrator)
+
+    def _cannot_watch(self, calibrator: str) -> str:
+        """Say why there can be no calibrator of a name, or no tracker beside it."""
+        return (name_problem(self, f'/{calibrator}/calibrate', is_service=True)
+                or name_problem(self, self._beside(OVERLAY, calibrator)))
 
     def _watch(self, calibrator: str) -> None:
         """Take the tracks and the services of a calibrator."""
@@ -118,13 +134,15 @@ class CalibrationPage(Node):
             self.destroy_subscription(old)
         self._overlay = None
         # not decoded before it is known to be needed
-        self._tracks = self.create_subscription(PointCloud2, self._beside(TRACKS),
+        self._tracks = self.create_subscription(PointCloud2, self._beside(TRACKS, calibrator),
                                                 self._on_tracks, PER_IMAGE, raw=True)
 
-    def _beside(self, name: str) -> str:
-        """Name a topic of the calibrator's namespace, so that it can be remapped in ours."""
-        space = _namespace(self._calibrator)
-        return name if space == self.get_namespace().strip('/') else f'/{space}/{name}'
+    def _beside(self, name: str, calibrator: str) -> str:
+        """Name a topic of a calibrator's namespace, so that it can be remapped in ours."""
+        space = _namespace(calibrator)
+        if space == self.get_namespace().strip('/'):
+            return name
+        return f'/{space}/{name}' if space else f'/{name}'
 
     def _on_tracks(self, raw: bytes) -> None:
         now = time.monotonic()
@@ -143,7 +161,8 @@ class CalibrationPage(Node):
         is_wanted = self._calibrator and self.server.is_looked_at
         if is_wanted and self._overlay is None:
             self._overlay = self.create_subscription(
-                Image, self._beside(OVERLAY), self._on_overlay, IMAGES_OUT, raw=True)
+                Image, self._beside(OVERLAY, self._calibrator), self._on_overlay, IMAGES_OUT,
+                raw=True)
         elif not is_wanted and self._overlay is not None:
             self.destroy_subscription(self._overlay)
             self._overlay = None

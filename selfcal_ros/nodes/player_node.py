@@ -26,6 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from selfcal_ros.errors import InputError
+from selfcal_ros.nodes.given_paths import given_path
 from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import BagPlayerParameters
@@ -35,6 +36,8 @@ from sensor_msgs.msg import CompressedImage, Image
 
 #: Between images, /clock ticks at least this often.
 CLOCK_PERIOD_S = 0.02
+#: A longer gap between images is a clock that was set, or a pause; so much of it is played.
+LONGEST_GAP_S, PLAYED_GAP_S = 60.0, 1.0
 
 
 class BagPlayer(Node):
@@ -46,7 +49,8 @@ class BagPlayer(Node):
         if not self.parameters.bag:
             raise InputError('bag_player needs a bag: --ros-args -p bag:=/path/to/bag')
         self.finished = Future()
-        self._recording = ImageRecording(self.parameters.bag, self.parameters.topic or None)
+        self._recording = ImageRecording(given_path(self.parameters.bag),
+                                         self.parameters.topic or None)
         name, message = (('image', Image) if self._recording.message_type.endswith('/Image')
                          else (compressed_topic(self), CompressedImage))
         self._publisher = self.create_publisher(
@@ -97,6 +101,7 @@ class BagPlayer(Node):
             self._published += 1
             # `_rewind` has set it
             self._next = next(self._messages, None)  # type: ignore[arg-type]
+            self._shorten_gap(stamp_ns)
         if self._next is None:
             self._at_end()
             return
@@ -124,6 +129,17 @@ class BagPlayer(Node):
                              f'{self.parameters.start_offset:g} s; choose a smaller start_offset.')
         self._begin_ns = self._next[0]
         self._began = time.monotonic()
+
+    def _shorten_gap(self, last_ns: int) -> None:
+        """Let the time of the bag jump where hours or years lie between two images."""
+        if self._next is None:
+            return
+        gap_s = (self._next[0] - last_ns) / 1e9
+        if gap_s > LONGEST_GAP_S:
+            self._begin_ns += self._next[0] - last_ns - int(PLAYED_GAP_S * 1e9)
+            self.get_logger().warning(
+                f'the next image is {gap_s:.0f} s later, as after a clock is set: of such gaps '
+                f'{PLAYED_GAP_S:g} s is played', once=True)
 
     def _due(self, stamp_ns: int) -> float:
         """Return the monotonic time at which a message is due."""

@@ -27,6 +27,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.camera_info_input import CameraInfoInput
+from selfcal_ros.nodes.given_paths import given_path
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.robot_topic import TF_STATIC_IN
@@ -106,7 +107,8 @@ def rig_sigma(text: str) -> tuple[float, float] | None:
 def rig_of_file(p: RorapidTrackerParameters) -> tuple[PlacedCamera, ...]:
     """Read the parameter rig_file; empty where the places come from TF."""
     names = camera_names(p.cameras)
-    return read_rig(p.rig_file, names, sigma=rig_sigma(p.rig_sigma)) if p.rig_file else ()
+    return read_rig(given_path(p.rig_file), names, sigma=rig_sigma(p.rig_sigma)
+                    ) if p.rig_file else ()
 
 
 class RigInputs:
@@ -212,12 +214,11 @@ class RigInputs:
                 self._submit(header_message(first, self.frame, self._node.types), images)
 
     def _on_static(self, msg: Message) -> None:
-        try:
-            for stamp, matrix, parent, child in transforms(msg):
-                self._tree.add(stamp, matrix, parent, child, is_static=True)
-        except InputError as error:
-            self._node.get_logger().warning(f'/tf_static: {error}', throttle_duration_sec=5.0)
-            return
+        def drop(why: str) -> None:
+            self._node.get_logger().warning(f'/tf_static: {why}', throttle_duration_sec=5.0)
+
+        for stamp, matrix, parent, child in transforms(msg, drop, is_static=True):
+            self._tree.add(stamp, matrix, parent, child, is_static=True)
         self._look()
 
     def _look(self) -> None:

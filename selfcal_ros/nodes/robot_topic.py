@@ -23,6 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import STEADY
+from selfcal_ros.nodes.ros_names import name_problem
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.pipeline.estimate_request import EstimateRequest
@@ -40,9 +41,9 @@ TF_STATIC_IN = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE,
                           durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def live_robot(parameters: CalibratorParameters) -> LiveRobot | None:
+def live_robot(node: Node, parameters: CalibratorParameters) -> LiveRobot | None:
     """
-    Return what gathers the poses that parameters ask for; None where they ask for none.
+    Return what gathers the poses that parameters of a node ask for; None where they ask for none.
 
     Raises
     ------
@@ -66,6 +67,10 @@ def live_robot(parameters: CalibratorParameters) -> LiveRobot | None:
     if source.table is not None:
         raise ArgumentError(f'The parameter robot takes a topic, such as /odom, not the table '
                             f'{p.robot}.')
+    why = name_problem(node, source.topic)
+    if why:
+        raise ArgumentError(f'The parameter robot cannot be {p.robot!r:.80}: {why}; name a topic, '
+                            'such as /odom.')
     if source.frames is not None:
         transform_type(f'robot:={p.robot}')
     return LiveRobot(source, mount_facts(p.mount_facts.replace(',', ' ').split()))

@@ -19,14 +19,11 @@ from msg_adapters.camera_info import camera_info_message
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.exceptions import NameValidationException
-from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.task import Future
-from rclpy.validate_full_topic_name import validate_full_topic_name
-from rclpy.validate_topic_name import validate_topic_name
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.nodes.ros_names import name_problem
 from sensor_msgs.srv import SetCameraInfo
 
 SERVICE_TYPE = 'sensor_msgs/srv/SetCameraInfo'
@@ -42,16 +39,9 @@ def check_service(node: Node, service: str) -> None:
         It says what is wrong with the name.
 
     """
-    if not service:
-        return
-    try:
-        validate_topic_name(service, is_service=True)
-        validate_full_topic_name(expand_topic_name(service, node.get_name(), node.get_namespace()),
-                                 is_service=True)
-    except (NameValidationException, ValueError) as error:
-        why = str(error).partition('\n')[0].rstrip(':')
-        raise ArgumentError(f'The parameter set_camera_info_service cannot be {service!r}: {why}.'
-                            ) from None
+    why = name_problem(node, service, is_service=True) if service else ''
+    if why:
+        raise ArgumentError(f'The parameter set_camera_info_service cannot be {service!r}: {why}.')
 
 
 class CameraInfoUpload:

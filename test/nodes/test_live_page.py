@@ -218,7 +218,8 @@ def test_the_command_serves_the_nodes_of_other_processes_until_it_is_stopped(gra
         token = re.search('name="token" content="(.+?)"', urlopen(url).read().decode())[1]
         graph.wait_for(lambda: statuses.get_subscription_count() > 0, what='page')
         graph.wait_for(lambda: statuses.publish(DiagnosticArray(status=[DiagnosticStatus(
-            name='front/planar_calibrator: calibration')]))
+            name='front/planar_calibrator: calibration',
+            values=[KeyValue(key='keyframes'), KeyValue(key='calibration file')])]))
             or graph.probe.count_subscribers('/front/tracks') > 0, what='subscription')
         answers = []
         asking = threading.Thread(target=lambda: answers.append(urlopen(
@@ -260,7 +261,33 @@ def test_the_first_calibrator_of_the_own_namespace_is_watched(graph):
     assert page._calibrator == 'right/affine_calibrator'
     topics = {one.topic_name for one in page.subscriptions}
     assert '/right/tracks' in topics and '/left/tracks' not in topics
-    assert page._beside('feature_tracker/overlay') == 'feature_tracker/overlay'
+    assert page._beside('feature_tracker/overlay', page._calibrator) == 'feature_tracker/overlay'
+    # that of the root, too, where it is alone
+    assert page._beside('tracks', 'planar_calibrator') == '/tracks'
+
+
+@pytest.mark.parametrize('name, keys', [
+    ('imu', ()), ('imu', ('keyframes',)),
+    *((name, ('keyframes', 'calibration file')) for name in (
+        'My Robot/Left IMU', 'Left IMU', '//', '', 'a//b', '7up/imu', 'x' * 300))])
+def test_what_is_no_calibrator_is_not_watched(graph, name, keys):
+    page = graph('-p', 'port:=0').add(CalibrationPage())
+
+    def hear(name, keys):
+        page._on_diagnostics(DiagnosticArray(status=[DiagnosticStatus(
+            name=f'{name}: calibration', values=[KeyValue(key=key) for key in keys])]))
+
+    hear(name, keys)
+    assert page._calibrator == ''
+    hear('planar_calibrator', ('frames', 'keyframes', 'calibration file'))
+    assert page._calibrator == 'planar_calibrator'
+
+
+def test_a_calibrator_that_cannot_be_is_refused(ended):
+    for name in ('/My Robot/x', '/'):
+        status, said = ended('calibration_page', '-p', 'port:=0', '-p', f"calibrator:='{name}'")
+        assert status == 2 and said.count('\n') == 1, said
+        assert said.startswith(f"The parameter calibrator cannot be '{name}': ")
 
 
 def test_a_second_without_a_browser_costs_a_twentieth_of_a_core(graph, monkeypatch):

@@ -101,7 +101,7 @@ def test_a_chain_of_live_transforms_is_composed_in_whatever_order_it_comes():
     assert len(robot) == 21
     with pytest.raises(InputError, match='no frame map; it has base, hub, laser, lift, odom'):
         other = LiveRobot(RobotSource.parse('/tf:map:base'))
-        for message in (tf(0.5, 0, 'base', 'lift'), tf(1, 5, 'base', 'laser'),
+        for message in (tf(0.5, 5, 'base', 'lift'), tf(1, 5, 'base', 'laser'),
                         tf(1, 5, 'odom', 'base'), tf(1, 5, 'wheel', 'hub')):
             other.add_transforms(message, False)
         other.snapshot().poses()

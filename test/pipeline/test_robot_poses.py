@@ -142,7 +142,7 @@ def test_messages_of_rclpy_are_read_like_those_of_rosbags():
     class Tf:
         transforms = [one]
 
-    (_, matrix, parent, child), = transforms(Tf)
+    (_, matrix, parent, child), = transforms(Tf, pytest.fail, is_static=True)
     assert (matrix[2, 3], parent, child) == (2.0, 'a', 'b')
 
 

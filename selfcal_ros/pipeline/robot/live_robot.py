@@ -138,7 +138,7 @@ class LiveRobot:
     Attributes
     ----------
     dropped : int
-        Messages that were of no use.
+        Poses and transforms that were of no use.
     why_dropped : str
         Of the last of them.
 
@@ -189,12 +189,7 @@ class LiveRobot:
 
     def add_transforms(self, message: Message, is_static: bool) -> None:
         """Take a TFMessage of /tf or /tf_static; only the way from frame to frame is kept."""
-        try:
-            told = list(transforms(message))
-        except InputError as error:
-            self._drop(str(error))
-            return
-        for stamp, matrix, parent, child in told:
+        for stamp, matrix, parent, child in transforms(message, self._drop, is_static):
             known = self._parents.get(child)
             if known is None and len(self._parents) >= MOST_FRAMES:
                 self._drop(f'TF has more than {MOST_FRAMES} frames')

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import itertools
+import logging
 from pathlib import Path
 from typing import Any
 
 from msg_adapters.body_poses import (body_pose, ODOMETRY_TYPE, POSE_TYPES, TRANSFORM_TYPE,
                                      transforms)
+from msg_adapters.stamps import stamp_ns
 
 import numpy as np
 
@@ -30,12 +32,30 @@ from selfcal_ros.pipeline.bag_source import open_bag, OpenBag
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 from selfcal_ros.values.transform_tree import TransformTree
 
+_LOGGER = logging.getLogger(__name__)
+
 #: Topics of transforms, the second of those that hold at all times.
 TRANSFORM_TOPICS = ('/tf', '/tf_static')
 #: Who names no frames of TF is told those of so many messages.
 MOST_LOOKED_AT = 500
 #: A clock that goes back by more is a second run of the recording.
 OVERTAKEN_NS = 200_000_000
+
+
+class _LeftOut:
+    """Poses that are of no use: how many, and the first of them."""
+
+    def __init__(self) -> None:
+        self.count, self.first = 0, ''
+
+    def add(self, why: str) -> None:
+        """Count one."""
+        self.first = self.first or why
+        self.count += 1
+
+    def __str__(self) -> str:
+        """Say so; it ends as a sentence does."""
+        return f'{self.count} left out, the first {self.first}'
 
 
 def read_pose_topic(path: str | Path, topic: str) -> BodyPoses:
@@ -56,7 +76,8 @@ def read_pose_topic(path: str | Path, topic: str) -> BodyPoses:
     Raises
     ------
     InputError
-        If there is no such topic (those of a fitting type are listed), or a message is wrong.
+        If there is no such topic (those of a fitting type are listed), or fewer than two of its
+        messages are of use. Others are left out, which is logged.
 
     """
     path = Path(path)
@@ -67,14 +88,21 @@ def read_pose_topic(path: str | Path, topic: str) -> BodyPoses:
             carries = (f'carries {there[0].msgtype}, which holds no poses of a robot' if there
                        else 'is not in it')
             raise InputError(f'The topic {topic} of {path} {carries}; {_fitting(bag)}.')
-        read = [body_pose(msg) for msg in _messages(bag, chosen)]
+        read, left_out = [], _LeftOut()
+        for msg in _messages(bag, chosen):
+            stamp = stamp_ns(msg.header.stamp)
+            try:
+                if stamp <= 0:
+                    raise InputError('There is no stamp; what publishes it must fill the header.')
+                read.append(body_pose(msg))
+            except InputError as error:
+                left_out.add(f'at {stamp / 1e9:.3f} s: {error}')
     if len(read) < 2:
-        raise InputError(f'The topic {topic} of {path} holds {len(read)} messages; poses at two '
-                         'instants are needed at least.')
+        raise InputError(f'The topic {topic} of {path} holds {len(read)} poses of use, and two '
+                         'are needed at least' + (f'; {left_out}' if left_out.count else '.'))
+    if left_out.count:
+        _LOGGER.warning('poses on %s of %s: %s', topic, path, left_out)
     stamps = np.array([one[0] for one in read], np.int64)
-    if not stamps.any():
-        raise InputError(f'The messages of {topic} in {path} have no stamps; what publishes them '
-                         'must fill the header.')
     order = _order(stamps, f'{topic} of {path}')
     poses = np.array([one[1] for one in read])[order]
     kind = ODOMETRY if chosen[0].msgtype == ODOMETRY_TYPE else ABSOLUTE
@@ -86,26 +114,53 @@ def read_transforms(path: str | Path, world: str, body: str) -> BodyPoses:
     """
     Read the poses of one frame in another from /tf and /tf_static of a bag.
 
+    Transforms that are of no use are left out, which is logged.
+
     Raises
     ------
     InputError
         If the bag holds no transforms, or not those; see `TransformTree.poses`.
 
     """
-    path, tree = Path(path), TransformTree()
+    path, tree, left_out = Path(path), TransformTree(), _LeftOut()
+    parents: dict[str, str] = {}
+    torn: dict[str, InputError] = {}
     with open_bag(path) as bag:
         chosen = [one for one in bag.connections if one.msgtype == TRANSFORM_TYPE
                   and one.topic in TRANSFORM_TOPICS]
         if not chosen:
             raise InputError(f'{path} holds no transforms on /tf; {_fitting(bag)}.')
         for connection, msg in bag.messages(chosen):
-            for stamp, matrix, parent, child in transforms(msg):
-                tree.add(stamp, matrix, parent, child,
-                         connection.topic == TRANSFORM_TOPICS[1])
+            is_static = connection.topic == TRANSFORM_TOPICS[1]
+            for stamp, matrix, parent, child in transforms(msg, left_out.add, is_static):
+                try:
+                    tree.add(stamp, matrix, parent, child, is_static)
+                except InputError as error:
+                    torn.setdefault(child, error)
+                else:
+                    parents[child] = parent
     try:
-        return tree.poses(world, body)
+        # what hangs elsewhere may do so from two frames
+        for child in sorted(_to_root(body, parents) ^ _to_root(world, parents)):
+            if child in torn:
+                raise torn[child]
+        found = tree.poses(world, body)
     except InputError as error:
-        raise InputError(f'{path}: {error}') from None
+        why = str(error).rstrip('.')
+        raise InputError(f'{path}: {why}; of the transforms {left_out}' if left_out.count else
+                         f'{path}: {error}') from None
+    if left_out.count:
+        _LOGGER.warning('transforms of %s: %s', path, left_out)
+    return found
+
+
+def _to_root(name: str, parents: dict[str, str]) -> set[str]:
+    """Return a frame and those that it hangs from."""
+    found: set[str] = set()
+    while name and name not in found:
+        found.add(name)
+        name = parents.get(name, '')
+    return found
 
 
 def _messages(bag: OpenBag, connections: list[Any]) -> Iterator[Any]:
@@ -141,6 +196,7 @@ def _transforms_of(bag: OpenBag) -> str:
               and one.topic in TRANSFORM_TOPICS]
     frames: dict[str, None] = {}
     for _, msg in itertools.islice(bag.messages(chosen) if chosen else (), MOST_LOOKED_AT):
-        for _, _, parent, child in transforms(msg):
-            frames |= dict.fromkeys((parent, child))
+        for one in msg.transforms:
+            frames |= dict.fromkeys(str(name).lstrip('/') for name in (one.header.frame_id,
+                                                                       one.child_frame_id))
     return '/tf:FIXED:BODY' + (f' (frames {", ".join(sorted(frames)[:12])})' if frames else '')
