@@ -153,6 +153,7 @@ class Monitoring:
         self._generation += 1
         self._monitor: ChangeMonitor | None = None
         self._keyframes: list[Keyframe] = []
+        self._image_size = (0, 0)
         self._waiting: deque[tuple[Tracks, bool]] = deque()
         self._skipped, self._why = 0, ''
         self._of_mount: MountMonitor | None = None
@@ -180,6 +181,7 @@ class Monitoring:
 
     def interrupt(self) -> None:
         """Leave out the keyframes of a window that is not complete: their tracks end here."""
+        self._complete()
         self._keyframes = []
 
     @property
@@ -192,6 +194,9 @@ class Monitoring:
         """
         Take a keyframe, unless it is the newest one; after every so many a window is ready.
 
+        In a video a window waits for the image after its last keyframe. So offer the newest
+        keyframe again with that image.
+
         Parameters
         ----------
         keyframe : Keyframe
@@ -199,16 +204,28 @@ class Monitoring:
             Width and height, pixels.
 
         """
-        frames = self._keyframes
-        if self._monitor is None or (frames and frames[-1].index >= keyframe.index):
+        if self._monitor is None:
             return
-        frames.append(keyframe)
+        if not self._keyframes or self._keyframes[-1].index < keyframe.index:
+            self._complete()
+            self._keyframes.append(keyframe)
+            self._image_size = image_size
+        newest = self._keyframes[-1].filmed
+        if newest is None or newest.after is not None:
+            self._complete()
+
+    def _complete(self) -> None:
+        """Make a window of the keyframes, where they are so many; it ends where another begins."""
+        frames = self._keyframes
         if len(frames) < self.settings.keyframes:
             return
+        # windows of the calibration have the images beside, too: both are to leave like noise
+        filmed = all(f.filmed is not None for f in frames)
         tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
                         np.concatenate([f.ids for f in frames]),
-                        np.concatenate([f.xy for f in frames]), image_size,
-                        {f.index: f.stamp_ns for f in frames})
+                        np.concatenate([f.xy for f in frames]), self._image_size,
+                        {f.index: f.stamp_ns for f in frames},
+                        np.concatenate([f.neighbours for f in frames]) if filmed else None)
         self._keyframes = frames[-1:]
         if len(self._waiting) < MAX_WAITING:
             self._waiting.append((tracks, False))

@@ -93,6 +93,25 @@ def test_rows_that_are_read_in_turn_do_not_look_like_another_camera():
     assert squares(shaky) < chi2.isf(1e-3, len(FREE))
 
 
+def test_neighbours_that_are_seconds_away_tell_a_delay_in_intervals():
+    for interval_s, readout_s in ((0.3, 0.03), (0.1, 0.03)):
+        rng = np.random.default_rng(1)
+        path = drive(rng, length_s=4.0 * interval_s / INTERVAL_S, travel_m=2.0)
+        video = record(rng, path, readout_s, interval_s * (10 / 3 + np.arange(9)),
+                       noise_px=NOISE_PX, points=400, interval_s=1 / 30).tracks
+        score = window_score(video, CAMERA, FREE, np.random.default_rng(0))
+        expected = readout_s / interval_s
+        # how the camera moved between the images is known to about a hundredth
+        assert score.line_delay == pytest.approx(expected, abs=0.01 * expected)
+        assert score.noise_px < 1.1 * NOISE_PX
+        # without stamps nobody knows how many intervals they are away
+        unstamped = replace(video, stamps_ns=None)
+        alone = replace(unstamped, neighbours=None)
+        same = [window_score(one, CAMERA, FREE, np.random.default_rng(0)).line_delay
+                for one in (unstamped, alone)]
+        assert same[0] == same[1] == pytest.approx(expected, rel=0.05)
+
+
 def test_what_moves_by_itself_is_set_aside():
     score = window_score(with_something_moving(3, 0.3), CAMERA, FREE, np.random.default_rng(0))
     assert score.still < 0.95

@@ -29,6 +29,7 @@ from selfcal_ros.pipeline.monitoring import MAX_WAITING, Monitoring
 from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.values.neighbours import Film, SeenPoints
 
 SIZE = (640, 480)
 VIEWS, CALIBRATED = 50, 20
@@ -59,6 +60,34 @@ def test_windows_are_scored_and_agree_with_the_calibration(road):
     state = monitoring.snapshot()
     assert state.windows == 3 and state.skipped == 0 and state.change is None
     assert 0 <= state.statistic < state.threshold
+
+
+@pytest.mark.parametrize('ended', [False, True])
+def test_windows_of_a_video_wait_for_the_image_after_them(road, ended):
+    tracks, first, calibration = road
+    film, monitoring = Film(), Monitoring()
+    monitoring.watch(calibration, first)
+    while monitoring.next_request():
+        pass
+    last = monitoring.settings.keyframes - 1
+    for index in range(last + 1):
+        frame = keyframe(tracks, index)
+        film.add(SeenPoints(frame.ids, frame.xy, frame.stamp_ns))
+        newest = replace(frame, filmed=film.keep())
+        monitoring.add_keyframe(newest, SIZE)
+    assert monitoring.next_request() is None
+    if ended:
+        monitoring.interrupt()
+    else:
+        after = keyframe(tracks, last + 1)
+        film.add(SeenPoints(after.ids, after.xy, after.stamp_ns))
+        monitoring.add_keyframe(newest, SIZE)
+    window = monitoring.next_request().tracks
+    followed = np.isfinite(window.neighbours).all(axis=2)
+    assert list(window.frames) == list(range(last + 1))
+    assert followed[(window.frame > 0) & (window.frame < last)].mean() > 0.8
+    assert followed[window.frame == last, 1].any() != ended
+    assert monitoring.next_request() is None
 
 
 def robot_with(sequence, knocked_from, knock_deg):

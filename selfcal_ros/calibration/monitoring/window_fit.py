@@ -98,7 +98,7 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera,
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
     state = bundle.optimise(state, iterations=12, tolerance=SHARE_OF_COST * bundle.cost(state))
-    observations = replace(observations, clock=clock_of(graph, camera)).read_in_rows()
+    observations = _timed(observations, clock_of(graph, camera)).read_in_rows()
     found = _still(observations, state, motion, _any_camera(lens), sigma_px)
     if found is None:
         return None
@@ -119,12 +119,21 @@ def fit_window(graph: ViewGraph, observations: Observations, camera: Camera,
 def clock_of(graph: ViewGraph, camera: Camera) -> Clock:
     """Tell when the keyframes were taken, in usual intervals between them."""
     stamps = graph.tracks.stamps_ns or {}
-    taken = np.array([stamps.get(int(frame), 0) for frame in graph.frames], float)
-    if not (np.diff(taken) > 0).all():
-        taken = np.asarray(graph.frames, float)
+    taken = np.array([stamps.get(int(frame), 0) for frame in graph.frames])
+    stamped = bool((np.diff(taken) > 0).all())
+    times = (taken - taken[0]) * 1e-9 if stamped else np.asarray(graph.frames, float)
+    times, interval = times - times[0], float(np.median(np.diff(times)))
     axis = 0 if was_turned_upright((camera.width, camera.height)) else 1
-    return Clock((taken - taken[0]) / float(np.median(np.diff(taken))),
-                 (camera.width, camera.height)[axis], known=Prior(0.0, READOUT), axis=axis)
+    return Clock(times / interval, (camera.width, camera.height)[axis], interval, stamped,
+                 Prior(0.0, READOUT), axis)
+
+
+def _timed(observations: Observations, clock: Clock) -> Observations:
+    """Add when the views were taken; neighbours are seconds away, and clocks count intervals."""
+    beside = observations.neighbours
+    if beside is not None:
+        beside = beside * [1, 1, 1 / clock.unit] if clock.is_stamped else None
+    return replace(observations, clock=clock, neighbours=beside)
 
 
 def _any_camera(lens: Lens) -> Priors:
