@@ -22,7 +22,7 @@ import pytest
 from scipy.spatial.transform import Rotation, RotationSpline
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.mounting.gyro import mount_by_gyro
-from selfcal_ros.calibration.mounting.integrated_rates import integrate
+from selfcal_ros.calibration.mounting.integrated_rates import integrate, RateSteps
 from selfcal_ros.calibration.structure.camera_path import camera_path, with_shared_errors
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
@@ -113,6 +113,29 @@ def test_the_stated_covariance_is_true(waved):
         squared.append(error @ np.linalg.solve(C, error))
     # four degrees of freedom: mean 4, standard deviation √8
     assert abs(np.mean(squared) - 4) < 3 * np.sqrt(8 / 12)
+
+
+@pytest.mark.parametrize('begin, end, known', [
+    (9.0, 9.5, True), (9.5, 10.0, True), (9.8, 10.5, False), (10.2, 10.7, False),
+    (10.0, 12.0, False), (10.5, 11.8, False), (11.5, 12.3, False), (12.0, 12.6, True),
+    (9.5, 12.5, False), (-0.1, 1.0, False), (14.5, 15.5, False)])
+def test_an_interval_that_touches_a_gap_is_not_known(begin, end, known):
+    times = np.r_[np.arange(0, 1001), np.arange(1200, 1501)] / 100
+    gyro = RateSteps(times, np.zeros((len(times) - 1, 3)))
+    assert gyro.covers(np.array([begin, end])).tolist() == [known]
+
+
+@pytest.mark.parametrize('begin, end, offset_s, intervals', [
+    (12.1, 13.6, 0.0, 5), (12.1, 13.1, 0.3, 6), (12.1, 13.1, -0.3, 6)])
+def test_a_gap_of_the_gyro_counts_by_its_own_clock(waved, begin, end, offset_s, intervals):
+    scene, result = waved
+    gyro = gyro_of(np.swapaxes(scene.cam_from_world[:, :, :3], 1, 2), np.random.default_rng(2))
+    kept = (gyro.stamps_ns < begin * 1e9) | (gyro.stamps_ns > end * 1e9)
+    gyro = AngularRates(gyro.stamps_ns[kept], gyro.rate_rad_s[kept])
+    mount = mount_by_gyro(result, gyro, stamps(10, offset_s)).mount
+    assert (mount.pose_count, mount.outlier_count) == (intervals, 0)
+    error = rotation_vector(mount.T_body_camera[:3, :3] @ BODY_FROM_CAMERA.T)
+    assert error @ np.linalg.solve(mount.covariance[3:6, 3:6], error) < 16
 
 
 def test_a_wrong_view_is_set_aside(waved):

@@ -191,12 +191,19 @@ def _start(gyro: RateSteps, views: _Views,
 
 def _estimate(gyro: RateSteps, views: _Views) -> _Fit | NoEstimate:
     """Estimate X, bias, offset and the density of the noise."""
-    covered = gyro.covers(np.append(views.instants, views.later[-1:])) & (views.lasting_s > 0)
-    if covered.sum() < LEAST_INTERVALS:
-        return NoEstimate('gyro_covers_too_little', intervals=int(covered.sum()),
-                          least=LEAST_INTERVALS)
-    views = views.of(covered)
-    R, bias, offset_s, missed = _start(gyro, views)
+    offset_s, used = 0.0, np.zeros(len(views.instants), bool)
+    for _ in range(START_ROUNDS):
+        covered = (views.lasting_s > 0) & gyro.covers(
+            np.append(views.instants, views.later[-1:]) - offset_s)
+        if covered.sum() < LEAST_INTERVALS:
+            return NoEstimate('gyro_covers_too_little', intervals=int(covered.sum()),
+                              least=LEAST_INTERVALS)
+        # with another offset of the clocks the gyro covers others
+        if np.array_equal(covered, used):
+            break
+        used = covered
+        R, bias, offset_s, missed = _start(gyro, views.of(used))
+    views = views.of(used)
     kept = missed < START_SIGMAS * np.median(missed)
     for _ in range(ROUNDS):
         fit = _adjusted(gyro, views.of(kept), R, bias, offset_s)

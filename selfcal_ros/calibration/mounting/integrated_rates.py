@@ -74,8 +74,12 @@ class RateSteps:
         """Tell which intervals between instants (V,) are known, shape (V - 1,)."""
         within = (instants >= self.times[0]) & (instants <= self.times[-1])
         gaps = np.concatenate([[0], np.cumsum(np.diff(self.times) > LONGEST_GAP_S)])
-        place = np.clip(np.searchsorted(self.times, instants), 0, len(gaps) - 1)
-        covered: np.ndarray = within[1:] & within[:-1] & (np.diff(gaps[place]) == 0)
+        # an instant inside a gap has it before and after itself
+        last, following = (np.clip(place, 0, len(gaps) - 1) for place in (
+            np.searchsorted(self.times, instants, 'right') - 1,
+            np.searchsorted(self.times, instants)))
+        covered: np.ndarray = within[1:] & within[:-1] & (
+            gaps[following[1:]] == gaps[last[:-1]])
         return covered
 
     def less(self, bias: np.ndarray) -> Turns:
