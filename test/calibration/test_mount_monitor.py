@@ -19,9 +19,17 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitoring.mount_monitor import MountMonitor
-from selfcal_ros.calibration.monitoring.mount_score import is_watchable, MountScore
-from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
+from selfcal_ros.calibration.monitoring.mount_score import (is_watchable, MountScore,
+                                                            variance_ratio)
+from selfcal_ros.calibration.mount import Mount, mount_rotation, MountFacts, NAMES
+from selfcal_ros.calibration.mounting.adjustment import Adjustment
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
+from selfcal_ros.calibration.mounting.model import State
+from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 
 #: Of a window on a flat floor (rad), and of the mount in force.
 WINDOW, IN_FORCE = np.radians([0.03, 0.03, 0.2]), np.radians([0.01, 0.01, 0.05])
@@ -104,6 +112,47 @@ def test_windows_of_the_calibration_teach_how_much_they_differ():
         taught.learn(score)
     later = list(windows(rng, 5, np.radians([0, 0.8, 0]), first=10))
     assert watched(plain, later) is not None and watched(taught, later) is None
+
+
+def variance_of(rng, kind, views=9):
+    """Return the variance of misfits over that stated, of poses that err as stated."""
+    sigmas = np.array([0.01, 0.01, 0.01, 2e-3, 2e-3, 5e-3])
+    yaw = np.cumsum(0.15 * np.sin(0.7 * np.arange(views)) + 0.02)
+    R = rotation_matrix(np.column_stack([0.1 * rng.standard_normal((views, 2)), yaw]))
+    p = np.cumsum(0.3 * np.column_stack(
+        [np.cos(yaw), np.sin(yaw), 0.07 * rng.standard_normal(views)]), axis=0)
+    M, place = mount_rotation(0, 0.3, 0.1), np.array([0.3, 0.1, 0.5])
+    turned, centre = rotation_matrix(rng.standard_normal(3)), p + R @ place
+    camera = CameraPoses(np.arange(views), turned @ R @ M, centre @ turned.T / 0.37,
+                         np.zeros((views, 6, 0)), np.zeros((0, 0)), False, True)
+    true = BodyPoses(kind=kind, rotation=R, position=p, frames=np.arange(views))
+    rows = np.arange(views)
+    errors = PoseErrors.known(sigmas, BodyTrack(true, rows), 0.0, rows)
+    roots = np.linalg.cholesky(errors.covariances)
+    off = np.einsum('vij,vj->vi', roots, rng.standard_normal((len(roots), 6)))
+    if kind == ABSOLUTE:
+        measured_R, measured_p = rotation_matrix(off[:, 3:]) @ R, p + off[:, :3]
+    else:
+        measured_R, measured_p = R.copy(), p.copy()
+        for k, step in enumerate(off):
+            ahead = R[k].T @ (p[k + 1] - p[k]) + step[:3]
+            measured_p[k + 1] = measured_p[k] + measured_R[k] @ ahead
+            measured_R[k + 1] = measured_R[k] @ rotation_matrix(step[3:]) @ R[k].T @ R[k + 1]
+    track = BodyTrack(replace(true, rotation=measured_R, position=measured_p), rows)
+    errors = PoseErrors.known(sigmas, track, 0.0, rows)
+    start = State(place, M, np.log(0.37), 0.0, 0.0, turned.T, np.zeros(3), np.zeros(0))
+    adjustment = Adjustment(camera, track, rows, MountFacts(x=(0.3, 0.005), y=(0.1, 0.005)))
+    state, _ = adjustment.descend(start, errors)
+    keep = np.ones(len(off), bool)
+    return variance_ratio(*adjustment.of_poses(state, errors, keep), len(off), adjustment.free)
+
+
+@pytest.mark.parametrize('kind', [ODOMETRY, ABSOLUTE])
+def test_poses_that_err_as_stated_weigh_as_stated(kind):
+    rng = np.random.default_rng(5)
+    found = [variance_of(rng, kind) for _ in range(160)]
+    # 41 degrees of freedom each: the mean has a sigma of 0.017
+    assert np.mean(found) == pytest.approx(1, abs=0.05)
 
 
 def test_a_mount_whose_turn_is_open_is_not_watched():

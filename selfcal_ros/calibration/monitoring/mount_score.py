@@ -36,12 +36,13 @@ from selfcal_ros.calibration.mount import Mount, MountFacts, TURN as TURNS
 from selfcal_ros.calibration.mounting.adjustment import Adjustment
 from selfcal_ros.calibration.mounting.body_track import BodyAt, BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses, poses_of_fit
-from selfcal_ros.calibration.mounting.model import OFFSET, State, T, TURN
+from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, State, T, TURN
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.distributions import chi2_isf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import nearest_rotation, rotation_vector
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 from selfcal_ros.values.body_poses import BodyPoses
 
 #: The parameters of a score: a small turn about the body's axes, the place, the clocks.
@@ -51,6 +52,10 @@ MIN_POSES = 5
 #: A knock turns the camera by so much at most, radians; a place that is open lies within this of
 #: where it is supposed, metres, and clocks within this, seconds.
 FARTHEST_RAD, VAGUE_M, VAGUE_S = 0.2, 0.5, 0.5
+#: Directions with less than this share of the information are not shown at all.
+OPEN = 1e-9
+#: With fewer degrees of freedom misfits do not tell their variance.
+LEAST_FREEDOM = 3
 #: Poses whose misfit has less than this chance are left out, and a window with more than this
 #: share of them is of another motion.
 WRONG, MOST_WRONG = 1e-4, 0.4
@@ -188,7 +193,38 @@ def _score(frames: np.ndarray, mount: Mount, start: State, state: State,
     step = np.concatenate([rotation_vector(state.turn @ mount.T_body_camera[:3, :3].T),
                            state.place - start.place, [state.offset - start.offset]])
     # poses that err by more than those of the calibration weigh less
-    freedom = max(6 * int(keep.sum()) - len(PARAMETERS) - 7, 3)
-    excess = max(1.0, square / freedom)
+    excess = max(1.0, variance_ratio(H, g, square, int(keep.sum()), adjustment.free))
     return MountScore(tuple(int(frame) for frame in frames), information / excess,
                       (shift + information @ step) / excess)
+
+
+def variance_ratio(H: np.ndarray, g: np.ndarray, square: float, poses: int,
+                   free: np.ndarray) -> float:
+    """
+    Return the variance of misfits over that stated.
+
+    Facts and wide tails keep a state from where the misfits are least. There, one step on, the
+    square has the degrees of freedom that the unknowns leave.
+
+    Parameters
+    ----------
+    H : ndarray, shape (16 + k, 16 + k)
+    g : ndarray, shape (16 + k,)
+    square : float
+        See `Adjustment.of_poses`.
+    poses : int
+        Misfits that count.
+    free : ndarray of bool, shape (16 + k,)
+
+    Returns
+    -------
+    float
+
+    """
+    scaled, scale = unit_diagonal(H[np.ix_(free, free)])
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > OPEN
+    pull = (vectors.T @ (g[free] / scale))[told]
+    # the unknowns of the images are misfits, too
+    freedom = 6 * poses + len(g) - COUNT - int(told.sum())
+    return (square - float(np.sum(pull**2 / values[told]))) / max(freedom, LEAST_FREEDOM)
