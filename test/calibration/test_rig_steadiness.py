@@ -13,7 +13,8 @@
 # limitations under the License.
 """Rigs that are not rigid all the time: a late camera, a knocked one, and neither."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.rig import Rig
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.rigs.start import observations_of, seen_ahead, with_all_points
+from selfcal_ros.calibration.rigs.steadiness import every_knock
+from selfcal_ros.calibration.uncertainty.suppositions import JointInformation
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.paths import drive_path
 from selfcal_ros.synthetic.rig_scenes import (driven_path, hand_path, knocked_path, late_path,
@@ -150,3 +153,41 @@ def test_the_mirror_image_of_a_rig_is_turned_back(overlap):
     back = seen_ahead(truth.scaled(-1.0), found.observations)
     assert np.allclose(back.path.cam_from_world(), truth.path.cam_from_world())
     assert np.allclose(back.lens.values, truth.lens.values)
+
+
+def joint_of(rng, views, cameras=2):
+    """Make up what images say of cameras that move at every instant."""
+    size = 6 * cameras * views
+    root = rng.standard_normal((size, size + 20))
+    places = rng.permutation(size).reshape(views, 6 * cameras)
+    return JointInformation((), rng.standard_normal(size), root @ root.T / size,
+                            rng.uniform(2, 3, size), rng.standard_normal((7, size)),
+                            {'knocks': places}, 1.3, 0.8)
+
+
+def knocks_one_by_one(joint, places):
+    for view in range(1, len(places)):
+        basis = np.zeros((len(joint.score), 6))
+        basis[places[view:], np.arange(6)] = 1
+        yield joint.test_along(basis, 'no knock', ('x', 'y', 'z', 'roll', 'pitch', 'yaw'))
+
+
+def test_knocks_at_all_instants_are_tested_in_one_pass():
+    joint = joint_of(np.random.default_rng(3), 9)
+    for places in np.split(joint.places['knocks'], 2, axis=1):
+        one_by_one = list(knocks_one_by_one(joint, places))
+        together = every_knock(joint, places)
+        assert len(together) == len(one_by_one) == 8
+        for one, other in zip(together, one_by_one):
+            for field in fields(one):
+                if field.name not in ('name', 'unknowns'):
+                    np.testing.assert_allclose(getattr(one, field.name),
+                                               getattr(other, field.name), rtol=1e-9)
+    # the work grows with the square of the instants, and not with the cube
+    joint = joint_of(np.random.default_rng(4), 150, 1)
+    places, took = joint.places['knocks'], []
+    for way in (knocks_one_by_one, every_knock):
+        begin = perf_counter()
+        list(way(joint, places))
+        took.append(perf_counter() - begin)
+    assert took[1] < 0.5 * took[0]

@@ -18,17 +18,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros.calibration.bundle import scene_model
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts
 from selfcal_ros.calibration.bundle.rig import Rig, RigPriors
 from selfcal_ros.calibration.bundle.rig_model import RigState
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
+from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.alignment import align
+from selfcal_ros.calibration.rigs.judgement import judge, RigOptimum
 from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
-from selfcal_ros.calibration.rigs.start import place_by_points
+from selfcal_ros.calibration.rigs.start import (observations_of, place_by_points,
+                                                with_all_points)
 from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.catalogue import lens_model
@@ -322,3 +326,41 @@ def test_points_place_a_fisheye_by_its_own_lens():
         place = place_by_points(left, scene.tracks['right'], lens)[0]
         assert np.linalg.norm(rotation_vector(place.pose[:, :3] @ T[:3, :3].T)) < turn
         assert np.abs(metres * place.pose[:, 3] - T[:3, 3]).max() < metre
+
+
+def rig_optimum(shared, views):
+    """Return what `judge` takes: the optimum of a rig, from the truth."""
+    rng = np.random.default_rng(0)
+    scene = rig_scene(rng, hand_path(rng, views), shared, points=150)
+    names = list(scene.tracks)
+    found = observations_of(scene.tracks, dict.fromkeys(names), np.arange(views), shared)
+    rig = Rig.of_cameras(names, [Lens.of(scene.cameras[name]) for name in names],
+                         np.stack([scene.T_rig_camera[name][:3] for name in names]))
+    path = AxisPath.of_poses(np.eye(3), scene.rig_from_world)
+    state = rescaled(with_all_points(RigState(rig, path, np.zeros((0, 4))), found.observations))
+    bundle = bundle_of(found.observations, GENERAL, RigPriors.of_cameras(
+        {name: priors_from_facts(FACTS) for name in names}), 0.3)
+    state = bundle.optimise(bundle.refine_points(state))
+    bundle = bundle.with_sigma(bundle.noise_rms(state))
+    sizes = {name: (one.width, one.height) for name, one in scene.cameras.items()}
+    return RigOptimum(RobustFit(bundle, state, found.observations, 0), found,
+                      dict.fromkeys(names, FACTS), sizes, 'general', bundle.sigma_px, shared)
+
+
+@pytest.mark.parametrize('shared, views', [(True, 8), (False, 12)])
+def test_sigmas_of_places_in_steps_do_not_depend_on_what_the_adjustment_holds(
+        shared, views, monkeypatch):
+    optimum, usual = rig_optimum(shared, views), scene_model.scale_gauge
+
+    def by_first_half(path, unknowns):
+        direction = usual(path, unknowns).copy()
+        direction[unknowns.of_views('x', 'y', 'height')[len(path) // 2:]] = 0
+        return direction / np.linalg.norm(direction)
+
+    def place_sigmas():
+        pose = judge(replace(optimum, fit=replace(optimum.fit)), {}, None).poses['right']
+        return np.sqrt(np.diag(pose.covariance)[:3])
+
+    held = place_sigmas()
+    monkeypatch.setattr(scene_model, 'scale_gauge', by_first_half)
+    np.testing.assert_allclose(place_sigmas(), held, rtol=5e-3)

@@ -34,7 +34,8 @@ from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibrati
 from selfcal_ros.calibration.rigs.start import RigObservations
 from selfcal_ros.calibration.rigs.steadiness import steadiness
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
-from selfcal_ros.calibration.structure.path_precision import pose_precision
+from selfcal_ros.calibration.structure.path_precision import path_slopes, pose_precision
+from selfcal_ros.calibration.structure.structure_measurement import regression
 from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate, Chain, SHARED
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovariance,
                                                                     robust_covariance_of)
@@ -229,7 +230,7 @@ def _terms(optimum: RigOptimum, found: AssessedEstimate, baseline: tuple[float, 
     assert isinstance(state, RigState)
     rig = state.lens
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
-    of_baseline, overlap = np.zeros(len(slopes)), Overlap.of(optimum.fit.observations)
+    overlap = Overlap.of(optimum.fit.observations)
     heights, spread = (unseen_heights(optimum.fit, overlap, found.clusters.sigma_inflation),
                        _spread(state.path.centres()))
     for group, normal in heights:
@@ -244,17 +245,45 @@ def _terms(optimum: RigOptimum, found: AssessedEstimate, baseline: tuple[float, 
                 _knows_baseline(rig, inner)):
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
             slopes = _carried_by_baseline(rig, slopes)
+            length_share = baseline[1] / baseline[0]
             if not baseline[1]:
                 findings += (Finding('rig_baseline_exact', baseline_m=baseline[0]),)
-            for k in range(1, len(rig.cameras)):
-                of_baseline[rig.of_pose(k)][:3] = rig.place(k) * scale * baseline[1] / baseline[0]
         else:
             findings += (Finding('rig_baseline_of_no_use', camera=rig.cameras[1]),)
+    if unit == 'path':
+        follows, variance = _step_after_lens(optimum.fit)
+        slopes = _carried_by_step(rig, slopes, follows)
+        length_share = float(np.sqrt(variance * found.variance_inflation))
+    of_length = np.zeros(len(slopes))
     for k in range(1, len(rig.cameras)):
         slopes[rig.of_pose(k)][:3] *= scale
-    covariance = slopes @ inner @ slopes.T + np.outer(of_baseline, of_baseline)
+        of_length[rig.of_pose(k)][:3] = rig.place(k) * scale * length_share
+    covariance = slopes @ inner @ slopes.T + np.outer(of_length, of_length)
     return _Terms(rig, unit, scale, covariance, scale * spread, heights,
                   overlap.points), findings
+
+
+def _step_after_lens(fit: RobustFit) -> tuple[np.ndarray, float]:
+    """
+    Return how the step of the path follows the unknowns of the lens block, and what is its own.
+
+    The adjustment holds another length than the unit of users.
+
+    Returns
+    -------
+    follows : ndarray, shape (k,)
+        Derivative of the step's logarithm.
+    variance : float
+        Of the logarithm, for independent errors, with the lens block held.
+
+    """
+    path, unknowns = fit.state.path, fit.bundle.unknowns
+    _, moves = path_slopes(path, unknowns)
+    steps = np.diff(path.centres(), axis=0)
+    slope = (moves[3:] - moves[:-3]).T @ steps.ravel() / (len(steps) * path.step_length()**2)
+    shared = fit.covariance @ slope
+    follows = regression(fit.lens_covariance, shared[unknowns.lens])
+    return follows, max(float(slope @ shared - follows @ shared[unknowns.lens]), 0.0)
 
 
 def _spread(centres: np.ndarray) -> float:
@@ -286,6 +315,14 @@ def _carried_by_baseline(rig: Rig, slopes: np.ndarray) -> np.ndarray:
         rows = rig.of_pose(k).start + np.arange(3)
         carried[rows[:, None], at + np.arange(3)] -= np.outer(rig.place(k),
                                                               first) / (first @ first)
+    return carried
+
+
+def _carried_by_step(rig: Rig, slopes: np.ndarray, follows: np.ndarray) -> np.ndarray:
+    """Tell all places in steps of the path, which follow the unknowns themselves."""
+    carried = slopes.copy()
+    for k in range(1, len(rig.cameras)):
+        carried[rig.of_pose(k)][:3] -= np.outer(rig.place(k), follows)
     return carried
 
 

@@ -33,7 +33,8 @@ from scipy.interpolate import CubicSpline
 from selfcal_ros.calibration.bundle.rig import POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.rigs.start import RigObservations
-from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
+from selfcal_ros.calibration.uncertainty.suppositions import (joint_information,
+                                                              JointInformation, likely_size,
                                                               Supposition, Tested)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.distributions import chi2_sf
@@ -140,12 +141,9 @@ def steadiness(fit: RobustFit, seen: RigObservations, variance_inflation: float,
     response = offset.response * unknowns.free[unknowns.lens][:, None]
     covariance = response @ (after + np.outer(found, found)) @ response.T
 
-    knocks = []
-    for k, view in np.ndindex(len(cameras), len(times) - 1):
-        where = joint.places[_KNOCK][view + 1:, len(POSE_NAMES) * k:len(POSE_NAMES) * (k + 1)]
-        basis = np.zeros((len(joint.score), len(POSE_NAMES)))
-        basis[where, np.arange(len(POSE_NAMES))] = 1
-        knocks.append((joint.test_along(basis, _KNOCK, POSE_NAMES), k, view + 1))
+    knocks = [(tested, k, view) for k, own in enumerate(
+        np.split(joint.places[_KNOCK], len(cameras), axis=1))
+        for view, tested in enumerate(every_knock(joint, own), 1)]
     knock, k, view = min(knocks, key=lambda one: (one[0].p_value, -one[0].chi2))
 
     def explained(one: Tested) -> float:
@@ -176,6 +174,42 @@ def steadiness(fit: RobustFit, seen: RigObservations, variance_inflation: float,
     return covariance, Unsteady(
         cameras[most], rig.cameras[0], explained(offset), offset=float(found[most]),
         interval_s=None if seen.seconds is None else float(np.median(np.diff(seen.seconds))))
+
+
+def every_knock(joint: JointInformation, places: np.ndarray) -> list[Tested]:
+    """
+    Test whether a camera has another pose from an instant on, for all instants but the first.
+
+    All sums over later instants grow by one instant at a time, from the last one backward.
+
+    Parameters
+    ----------
+    joint : JointInformation
+    places : ndarray of int, shape (V, 6)
+        Where the unknowns of the camera stand in it, if it moves at each instant.
+
+    Returns
+    -------
+    list of Tested
+        V - 1 of them.
+
+    """
+    views, size = places.shape
+    blocks = joint.information[np.ix_(places.ravel(), places.ravel())].reshape(
+        views, size, views, size)
+    each = np.arange(views)
+    # what an instant shares with later ones, once above the diagonal and once below
+    shared = np.einsum('vibj,vb->vij', blocks, np.triu(np.ones((views, views)), 1))
+    added = blocks[each, :, each] + shared + np.swapaxes(shared, 1, 2)
+
+    def from_then_on(values: np.ndarray) -> np.ndarray:
+        sums: np.ndarray = np.cumsum(values[::-1], axis=0)[::-1]
+        return sums[1:]
+
+    of_lens = np.moveaxis(joint.lens[:, places], 0, 1)
+    return [joint.test_of(J, u, raw, response, _KNOCK, POSE_NAMES) for J, u, raw, response in zip(
+        from_then_on(added), from_then_on(joint.score[places]), from_then_on(joint.raw[places]),
+        from_then_on(of_lens))]
 
 
 def _flow(fit: RobustFit, times: np.ndarray, others: int) -> np.ndarray:

@@ -240,9 +240,34 @@ class JointInformation:
         Tested
 
         """
-        J = basis.T @ self.information @ basis
-        u = basis.T @ self.score
-        scale = np.sqrt(np.maximum(np.einsum('ij,i,ij->j', basis, self.raw, basis), _TINY))
+        return self.test_of(basis.T @ self.information @ basis, basis.T @ self.score,
+                            np.einsum('ij,i,ij->j', basis, self.raw, basis), self.lens @ basis,
+                            name, unknowns)
+
+    def test_of(self, J: np.ndarray, u: np.ndarray, raw: np.ndarray, response: np.ndarray,
+                name: str, unknowns: tuple[str, ...]) -> Tested:
+        """
+        Test directions of which these are known.
+
+        Parameters
+        ----------
+        J : ndarray, shape (m, m)
+            Information.
+        u : ndarray, shape (m,)
+            Gradient of the cost.
+        raw : ndarray, shape (m,)
+            Diagonal of the information before anything was eliminated.
+        response : ndarray, shape (k, m)
+            How the unknowns of the lens follow.
+        name : str
+        unknowns : tuple of str
+
+        Returns
+        -------
+        Tested
+
+        """
+        scale = np.sqrt(np.maximum(raw, _TINY))
         values, vectors = np.linalg.eigh(J / np.outer(scale, scale))
         kept = values > INDEPENDENT
         root = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
@@ -253,8 +278,7 @@ class JointInformation:
         # what the estimate has already tells nothing: no value is excluded
         anything = (np.abs(vectors[:, ~kept]) > OPEN_PART).any(axis=1)
         covariance[anything, anything] = np.inf
-        return Tested(name, unknowns, theta, covariance, self.lens @ basis, total,
-                      int(kept.sum()))
+        return Tested(name, unknowns, theta, covariance, response, total, int(kept.sum()))
 
 
 def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
