@@ -16,8 +16,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from selfcal_ros import calibrate, CameraFacts, Tracks
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import Prior, Priors
+from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, Observations
+from selfcal_ros.calibration.bundle.scene_model import rescaled
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.uncertainty.experiment_design import suggest_motions
 from selfcal_ros.synthetic.hard_scenes import (CAMERA, HARD_SCENES, NOISE_PX, one_curve, s_curve,
                                                scene, VIEWS)
 from selfcal_ros.synthetic.scenes import pitched_mount, planar_poses
@@ -74,6 +83,39 @@ def test_what_is_promised_comes_true():
     assert result.hint.sigma['fx'] > 5 * promised
     # the information of the S alone is nearly all there is
     assert 0.5 < both.sigma['fx'] / promised < 2
+
+
+def fit_of(views):
+    """Return the optimum of a drive with a level camera, the skew stated with a sigma."""
+    sequence = HARD_SCENES['S-curve, level camera'](np.random.default_rng([0, 5]))
+    observations = Observations.of(sequence.tracks.in_frames(range(views)), np.arange(views))
+    lens = Lens.of(CAMERA)
+    held = {name: Prior(lens[name], 0.0) for name in lens.model.coefficients}
+    priors = Priors({**held, 'skew': Prior(0.0, 1e-3)}, lens.model)
+    points = np.column_stack([sequence.points[observations.track],
+                              np.ones(len(observations.track))])
+    start = SceneState(lens, AxisPath.of_poses(np.eye(3), sequence.cam_from_world[:views]),
+                       points / np.linalg.norm(points, axis=1, keepdims=True))
+    return fit_robustly(observations, rescaled(start), GENERAL, priors, NOISE_PX)
+
+
+def test_a_fact_counts_once_however_few_observations_are_used():
+    fit = fit_of(VIEWS)
+    whole, tenth = (suggest_motions(fit, (640, 480), ('fx',), fraction)[0].sigma
+                    for fraction in (1.0, 0.1))
+    # no image says as much of the skew as it is stated to
+    assert whole['skew'] == pytest.approx(1e-3, rel=1e-2)
+    assert tenth['skew'] == pytest.approx(1e-3, rel=1e-2)
+    assert tenth['fx'] < whole['fx']
+
+
+def test_what_a_view_has_of_its_own_is_none_of_views_to_come():
+    # more of these are simulated than there were, which ended in an exception
+    few = VIEWS - 4
+    fit = fit_of(few)
+    fit = replace(fit, state=replace(fit.state, shift=np.zeros((few, 2)),
+                                     row_motion=np.zeros((few, 6))))
+    assert suggest_motions(fit, (640, 480), ('fx',))
 
 
 def test_images_and_facts_are_told_apart():

@@ -22,6 +22,7 @@ length from the points that are known already.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 
@@ -235,18 +236,22 @@ def spanning_order(pairs: list[PairGeometry], views: int) -> list[tuple[int, int
         Neighbours in time first, then pairs with many matches.
 
     """
-    order, standing = [], {0}
-    waiting = sorted(range(len(pairs)), key=lambda k: (pairs[k].second - pairs[k].first,
-                                                       -len(pairs[k].track)))
-    while len(standing) < views:
-        for k in waiting:
-            a, b = pairs[k].first, pairs[k].second
-            if (a in standing) != (b in standing):
-                order.append((k, a, b) if a in standing else (k, b, a))
-                standing |= {a, b}
-                break
-        else:
-            break
+    ranked = sorted(range(len(pairs)), key=lambda k: (pairs[k].second - pairs[k].first,
+                                                      -len(pairs[k].track)))
+    beside: dict[int, list[tuple[int, int, int]]] = {}
+    for rank, k in enumerate(ranked):
+        for old, new in ((pairs[k].first, pairs[k].second), (pairs[k].second, pairs[k].first)):
+            beside.setdefault(old, []).append((rank, old, new))
+    # Prim's algorithm: of the pairs that lead on, the first goes next
+    order, standing, leading = [], {0}, list(beside.get(0, ()))
+    while leading and len(standing) < views:
+        rank, old, new = heappop(leading)
+        if new in standing:
+            continue
+        order.append((ranked[rank], old, new))
+        standing.add(new)
+        for one in beside[new]:
+            heappush(leading, one)
     return order
 
 

@@ -103,7 +103,8 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple[str, ...
     depths = _depths(fit)
     if depths is None or not names:
         return []
-    at_hand = _information(bundle, state) / fraction
+    # what the images say counts so many times, and what is stated once
+    at_hand = _information(bundle.with_sigma(bundle.sigma_px * fraction**0.5), state)
     state = _plausible(state, bundle, size)
     limits = observability_limits(state.camera(*size))
     every = state.camera().parameter_names
@@ -275,4 +276,5 @@ def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size: tuple
     homogeneous /= np.linalg.norm(homogeneous, axis=1, keepdims=True)
     made = Bundle(SceneModel(motion), view, index, pixels[inside], priors=bundle.priors,
                   sigma_px=bundle.sigma_px)
-    return made, replace(state, path=path, points=homogeneous, zoom=None)
+    return made, replace(state, path=path, points=homogeneous, zoom=None, row_motion=None,
+                         shift=None)
