@@ -210,7 +210,7 @@ class Reconstruction:
             Times the last homogeneous coordinate of the point, whose sign is arbitrary.
 
         """
-        X = np.einsum('nij,nj->ni', self.cam_from_world[view], self.points[point])
+        X: np.ndarray = np.einsum('nij,nj->ni', self.cam_from_world[view], self.points[point])
         if self.row_motion is None:
             return X
         return self.row_motion.when_read(X, self.points[point, 3], view, xy)

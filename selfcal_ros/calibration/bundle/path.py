@@ -308,7 +308,8 @@ def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns) -> Prior
 def path_prior_count(motion: MotionModel, views: int) -> int:
     """Count the measurements that `path_prior` stands for."""
     return (2 * views * (0 < motion.tilt_sigma_rad < np.inf)
-            + views * (0 < motion.height_sigma < np.inf))
+            # the first view is where the plane is
+            + (views - 1) * (0 < motion.height_sigma < np.inf))
 
 
 def scale_gauge(path: AxisPath, unknowns: Unknowns) -> np.ndarray:

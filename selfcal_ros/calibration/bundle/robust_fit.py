@@ -426,5 +426,10 @@ def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) 
 
 
 def is_chance(excess: float, freedom: float) -> bool:
-    """Tell whether so many unknowns lower twice the cost so much by chance, at 4 sigma."""
+    """
+    Tell whether so many unknowns lower twice the cost so much by chance.
+
+    Beyond four standard deviations of its chi-square it is none. That is 1 in 200 of three
+    unknowns, and 1 in 1400 of thirty.
+    """
     return bool(excess <= freedom + 4 * np.sqrt(2 * freedom))

@@ -203,9 +203,11 @@ def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
     if observations.shutter is None:
         observations = observations.read_in_rows().displaced(fit.state)
     bundle = bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
-    information = bundle.information(fit.state)
+    linearisation = bundle.linearise(fit.state)
+    information, pull = (bundle.information(fit.state, linearisation),
+                         bundle.loss_factors(linearisation)[1])
     place = bundle.unknowns.places((LINE_DELAY,))[0]
-    step = -(information.covariance @ information.system.gradient) / information.factor
+    step = -pull * (information.covariance @ information.system.gradient) / information.factor
     clusters = cluster_robust_covariance(information, observations.point, observations.xy, size)
     sigma = float(np.sqrt(information.covariance[place, place])) * clusters.sigma_inflation
     return DelayTest(fit.state.line_delay + float(step[place]), sigma,

@@ -124,8 +124,12 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
     fit = window.fit
     state, observations, bundle = fit.state, fit.observations, without_camera(fit.bundle, free)
     places = state.lens.places(free)
-    told = bundle.information(state)
-    step = told.influence[:, places].sum(axis=0)
+    linearisation = bundle.linearise(state)
+    told = bundle.information(state, linearisation)
+    # priors of shifts and of the line delay pull, too: their share is in the gradient alone
+    pull = bundle.loss_factors(linearisation)[1]
+    every = -pull / told.factor * (told.covariance @ told.system.gradient)
+    step = every[places]
     covariance = told.covariance[np.ix_(places, places)]
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
@@ -143,7 +147,7 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
         tuple(int(frame) for frame in graph.frames), supposed,
         state.lens.values[places] + step - supposed, information, variance_inflation,
         bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
-        float(state.line_delay + told.influence[:, row].sum()),
+        float(state.line_delay + every[row]),
         float(np.sqrt(told.covariance[row, row])))
 
 

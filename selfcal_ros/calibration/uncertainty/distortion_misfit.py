@@ -240,8 +240,9 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray,
     if not factor.usable:
         return None
     solved = factor.solve(coupling)
-    own = coupling[joint.shared] - coupling.T @ solved
-    pull = system.gradient[joint.shared] - solved.T @ system.gradient
+    spread, towards = fit.bundle.loss_factors(fit.linearisation)
+    own = (coupling[joint.shared] - coupling.T @ solved) / spread
+    pull = (system.gradient[joint.shared] - solved.T @ system.gradient) * towards / spread
     count = modes.shape[2]
     if rival is not None and _most_probable(
             *_eliminated(own, pull, count, rival.sigma), degree).gain < MIN_GAIN:
@@ -295,7 +296,8 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
 
     """
     bundle, state, system = fit.bundle, fit.state, joint.system
-    step = -factor.solve(system.gradient) - solved @ coefficients
+    spread, towards = bundle.loss_factors(fit.linearisation)
+    step = -towards * factor.solve(system.gradient) - solved @ coefficients
     step[joint.shared[:len(coefficients)]] = coefficients
     points = system.point_steps(step)
     found = bundle.moved(state, step[joint.place], points)
@@ -304,9 +306,9 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
         return None
     change = system.predict(step, points)
     system.residual = system.residual + change
-    rows = _covariance_rows(fit, joint, factor, solved, spectrum)
+    rows = _covariance_rows(fit, joint, factor, solved, spectrum, spread)
     inner = rows[:, bundle.unknowns.lens]
-    ratio, added = region_excess(inner, system.influence(rows),
+    ratio, added = region_excess(inner, towards / spread * system.influence(rows),
                                  *images_alike(bundle.xy, sizes, fit.observations.camera))
     displacement = modes @ coefficients
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
@@ -317,14 +319,14 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
 
 
 def _covariance_rows(fit: RobustFit, joint: JointEquations, factor: DampedFactor,
-                     solved: np.ndarray, spectrum: _Spectrum) -> np.ndarray:
+                     solved: np.ndarray, spectrum: _Spectrum, spread: float) -> np.ndarray:
     """Rows (k, n) of the joint covariance of all unknowns and the field, of the lens's."""
     count, chosen = len(joint.system.matrix), fit.bundle.unknowns.free_lens
     unit = np.zeros((count, len(chosen)))
     unit[chosen, np.arange(len(chosen))] = 1
     through = (solved[chosen] @ spectrum.vectors) * spectrum.posterior
     rows = np.zeros((len(fit.state.lens), count))
-    rows[chosen] = factor.solve(unit).T + through @ (solved @ spectrum.vectors).T
+    rows[chosen] = spread * factor.solve(unit).T + through @ (solved @ spectrum.vectors).T
     rows[np.ix_(chosen, joint.shared[:len(spectrum.values)])] = -through @ spectrum.vectors.T
     return rows
 

@@ -58,6 +58,8 @@ def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple[str, ...]) 
     state, internal = fit.state, fit.lens_covariance
     soft, camera = fit.bundle.priors.soft_information(), state.camera(*size)
     names = camera.parameter_names
+    # what facts bring is no part of the scatter that Huber's loss speaks of
+    factor = fit.information.factor
     total = np.diag(to_parameters(internal, state.lens))
     brought = np.diag(to_parameters(internal @ soft @ internal, state.lens))
     place = [names.index(name) for name in estimated]
@@ -73,7 +75,7 @@ def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple[str, ...]) 
     weakest = np.sqrt(max(values[-1], 0)) * vectors[:, -1] * limits[place]
     heavy = np.abs(vectors[:, -1]) > MINOR * np.abs(vectors[:, -1]).max()
     return Identifiability(
-        {names[k]: float(1 - brought[k] / max(total[k], 1e-300)) for k in place},
+        {names[k]: float(1 - brought[k] / max(factor * total[k], 1e-300)) for k in place},
         without,
         {names[k]: float(value) for k, value, said in zip(place, weakest, heavy)
          if said},

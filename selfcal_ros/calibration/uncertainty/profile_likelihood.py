@@ -125,8 +125,10 @@ def _beyond(fit: RobustFit, place: int, joint: np.ndarray | ChainInverse,
         if isinstance(found, RobustFit):
             return found
         sides.append(found)
-    # truths and estimates lie to either side equally often: the mean square of both ways
-    more: np.ndarray = (np.einsum('si,sj->ij', sides, sides) / 2
+    # truths and estimates lie to either side equally often: the mean square of both ways; the
+    # cost rises by the curvature of Huber's loss, which is the normal matrix over the pull
+    factor, pull = fit.bundle.loss_factors(fit.linearisation)
+    more: np.ndarray = (factor / pull * np.einsum('si,sj->ij', sides, sides) / 2
                         - np.outer(per_sigma[inner], per_sigma[inner]))
     return more
 
