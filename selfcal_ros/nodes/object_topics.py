@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import re
+import time
 from typing import Any, TYPE_CHECKING, TypeAlias
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -51,6 +53,9 @@ MARKER_COLOURS = {TrackerState.TRACKING: (0.0, 0.62, 0.45),
                   TrackerState.INITIALISING: (0.6, 0.6, 0.6)}
 #: A marker vanishes when no newer one comes for so long.
 MARKER_LIFE_S = 1.0
+#: Another reason of the same state is told no sooner than this after the last one.
+REASON_EVERY_S = 1.0
+_NUMBER = re.compile(r'-?\d+(\.\d+)?')
 
 
 def _check_frame(frame: str, images: str) -> None:
@@ -89,6 +94,8 @@ class ObjectTopics:
         self._types, self.name = rclpy_types(), name
         self._segments = wireframe_segments(model)
         self._state: TrackerState | None = None
+        # words that were told last, without their numbers, and when
+        self._told, self._told_s = '', 0.0
         self._claimed = ''
         self.newest: ObjectInImage | None = None
         p, before = node.parameters, f'{name}/' if name else ''
@@ -195,16 +202,18 @@ class ObjectTopics:
                 0.01 * self._model.diameter_m, MARKER_LIFE_S))
 
     def _say(self, text: str, state: TrackerState | None = None) -> None:
-        """Tell the state where it has changed."""
-        if state is not None and state == self._state:
-            return
+        """Tell the state where it has changed, or its reason in more than numbers."""
         told = f'{self.name}: {text}' if self.name else text
-        if state is TrackerState.LOST:
+        words, now = _NUMBER.sub('#', text), time.monotonic()
+        if state is not None and state == self._state:
+            if words == self._told or now - self._told_s < REASON_EVERY_S:
+                return
+        elif state is TrackerState.LOST:
             self._node.get_logger().warning(told)
             self._clear_markers()
         else:
             self._node.get_logger().info(told)
-        self._state = state
+        self._state, self._told, self._told_s = state, words, now
         self._states.publish(String(data=text))
 
     def _clear_markers(self) -> None:

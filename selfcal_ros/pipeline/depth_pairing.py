@@ -15,12 +15,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
+
+from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 
 #: Stamps of one instant differ by no more than this, nanoseconds.
 SAME_NS = 10_000_000
 #: Where the last depth image is older than this, none is waited for.
 SILENT_NS = 1_000_000_000
+#: Depth images are kept for so long: they may come before their images.
+KEPT_NS = 500_000_000
 
 
 class DepthPairing:
@@ -28,13 +33,14 @@ class DepthPairing:
     Brings images together with depth images, whichever comes first.
 
     An image waits for its depth until the next image comes, and then goes without. Nothing
-    waits before the first depth image, or a second after the last.
+    waits before the first depth image, or a second after the last. Where their time jumps back
+    the depth images of before are forgotten.
     """
 
     def __init__(self) -> None:
         """Start with nothing."""
         self._image: tuple[int, Any] | None = None
-        self._depth: tuple[int, Any] | None = None
+        self._depths: deque[tuple[int, Any]] = deque()
 
     def image(self, stamp_ns: int, image: Any) -> list[tuple[Any, Any]]:
         """
@@ -53,20 +59,27 @@ class DepthPairing:
         """
         done = [] if self._image is None else [(self._image[1], None)]
         self._image = stamp_ns, image
-        if self._depth is None or stamp_ns - self._depth[0] > SILENT_NS:
+        if not self._depths or abs(stamp_ns - self._depths[-1][0]) > SILENT_NS:
             self._image = None
             return [*done, (image, None)]
         return done + self._matched()
 
     def depth(self, stamp_ns: int, depth: Any) -> list[tuple[Any, Any]]:
         """Take a depth image; returns what is complete now."""
-        self._depth = stamp_ns, depth
+        newest_ns = self._depths[-1][0] if self._depths else None
+        if stamp_order(stamp_ns, newest_ns) is StampOrder.JUMPED_BACK:
+            self._depths.clear()
+        self._depths.append((stamp_ns, depth))
+        while self._depths[-1][0] - self._depths[0][0] > KEPT_NS:
+            self._depths.popleft()
         return self._matched()
 
     def _matched(self) -> list[tuple[Any, Any]]:
-        if self._image is None or self._depth is None or abs(
-                self._image[0] - self._depth[0]) > SAME_NS:
+        if self._image is None:
             return []
-        pair = self._image[1], self._depth[1]
+        stamp_ns, image = self._image
+        near = min(self._depths, key=lambda one: abs(one[0] - stamp_ns), default=None)
+        if near is None or abs(near[0] - stamp_ns) > SAME_NS:
+            return []
         self._image = None
-        return [pair]
+        return [(image, near[1])]

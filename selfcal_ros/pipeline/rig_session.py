@@ -65,10 +65,27 @@ class RigSession(TrackingSession):
         """The cameras in use."""
         return self._placed
 
-    def set_cameras(self, cameras: Sequence[PlacedCamera]) -> None:
-        """Take calibrations and places; the object is followed on, or sought."""
-        self._placed = tuple(cameras)
-        self._take(self._placed[0].camera, self.options)
+    def set_cameras(self, cameras: Sequence[PlacedCamera]) -> bool:
+        """
+        Take calibrations and places; the object is followed on, or sought.
+
+        Returns
+        -------
+        bool
+            Whether they differ from those in use; else nothing is learned anew.
+
+        """
+        cameras = tuple(cameras)
+        if len(cameras) == len(self._placed) and all(map(_is_same, cameras, self._placed)):
+            return False
+        before, self._placed = self._placed, cameras
+        try:
+            self._take(cameras[0].camera, self.options)
+        except InputError:
+            # the same ones are refused again, not taken for those in use
+            self._placed = before
+            raise
+        return True
 
     def set_options(self, options: TrackerOptions) -> None:
         """Take other settings; see `TrackingSession.set_options`."""
@@ -151,3 +168,10 @@ class RigSession(TrackingSession):
         self.newest_of_rig = self._tracker.track(images, stamp_ns)
         self._count(self.newest_of_rig.tracked)
         return self.newest_of_rig
+
+
+def _is_same(one: PlacedCamera, other: PlacedCamera) -> bool:
+    """Whether name, calibration and place of two cameras are the same."""
+    return (one.name == other.name and one.camera == other.camera
+            and np.array_equal(one.T_rig_camera, other.T_rig_camera)
+            and np.array_equal(one.covariance, other.covariance))

@@ -107,10 +107,7 @@ def follow_through(instants: Iterable[Instant], sessions: Sequence[TrackingSessi
         except InputError as error:
             # what one of them cannot use is of no use to any
             name = instant.first.name or f'{word} {instant.index}'
-            remark = f'{name} was passed over: {error}'
-            for run in runs:
-                run.remarks.append(remark)
-            _LOGGER.info(remark)
+            note(runs, f'{name} was passed over: {error}')
             continue
         for run, now in zip(runs, found):
             run.count(instant.index, now.tracked, now.sees)
@@ -120,6 +117,13 @@ def follow_through(instants: Iterable[Instant], sessions: Sequence[TrackingSessi
             listener(instant, found)
         if progress:
             progress('Tracking', instant.index + 1, count)
+
+
+def note(runs: Sequence[TrackingRun], remark: str) -> None:
+    """Note of all objects what could not be used of the recording."""
+    for run in runs:
+        run.remarks.append(remark)
+    _LOGGER.info(remark)
 
 
 def check_source(source: FrameSource, camera: Camera) -> None:

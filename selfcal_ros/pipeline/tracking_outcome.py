@@ -41,7 +41,7 @@ class TrackingRun:
     doubts : list of (int, str)
         What seemed wrong with the model, the camera or the start, and from which image on.
     remarks : list of str
-        Images that were passed over, and why.
+        Images, or depth images, that were passed over, and why.
     squares, edgels : float, int
         Squared distances (px²) of the edgels that support the poses, over all images.
     seconds : float
@@ -105,7 +105,7 @@ class TrackingRun:
         lines += [f'From image {first}: {doubt}' for first, doubt in self.doubts[:MAX_REMARKS]]
         lines += self.remarks[:MAX_REMARKS]
         if len(self.remarks) > MAX_REMARKS:
-            lines.append(f'... and {len(self.remarks) - MAX_REMARKS} more images passed over.')
+            lines.append(f'... and {len(self.remarks) - MAX_REMARKS} more such images.')
         return '\n'.join(lines)
 
     def count(self, index: int, tracked: TrackedFrame, sees: Sequence[bool] = ()) -> None:
@@ -122,6 +122,7 @@ class TrackingRun:
         """
         for camera, seen in zip(self.cameras, sees):
             self.cameras[camera] += seen
+        was_lost = self.last_state == TrackerState.LOST.value
         self.images += 1
         self.squares += float(np.sum(tracked.edge_px[tracked.found]**2))
         self.edgels += int(np.count_nonzero(tracked.found))
@@ -135,7 +136,8 @@ class TrackingRun:
             else:
                 self.doubts.append((index, tracked.doubt))
         if tracked.state is TrackerState.LOST:
-            if self.stretches and self.stretches[-1][1] == index - 1:
+            # images may be left out on purpose: the one before is the last that was counted
+            if was_lost:
                 self.stretches[-1] = (self.stretches[-1][0], index, self.stretches[-1][2])
             else:
                 self.stretches.append((index, index, tracked.reason))

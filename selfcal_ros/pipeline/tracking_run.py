@@ -30,7 +30,7 @@ from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.tracking_loop import (
-    begin_sessions, check_source, follow_through, Target)
+    begin_sessions, check_source, follow_through, note, Target)
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
@@ -83,9 +83,14 @@ def read_start(init: str | None, clicks: Sequence[float] | None, camera: Camera,
         if len(numbers) != 6 or not np.isfinite(numbers).all():
             raise ArgumentError('--init takes six finite numbers "tx ty tz rx ry rz" (metres, '
                                 f'radians), not {init!r:.80}.')
-        return rotation_matrix(np.array(numbers[3:])), np.array(numbers[:3])
     path = Path(init)
-    if path.suffix.lower() != '.init':
+    is_pose = numbers is not None or path.suffix.lower() != '.init'
+    if is_pose and clicks is not None:
+        raise ArgumentError('--clicks are of the points of a .init file, but --init gives a pose; '
+                            'leave one of them out.')
+    if numbers is not None:
+        return rotation_matrix(np.array(numbers[3:])), np.array(numbers[:3])
+    if is_pose:
         return read_pose_file(path)
     points = read_init(path)
     if clicks is None:
@@ -145,8 +150,16 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
     check_source(source, camera)
     # images of a folder have no clock of their own
     timed = source.clock != 'nominal'
-    instants = (Instant(frame.index, (frame,), frame.stamp_ns if timed else None,
-                        None if depths is None else depths.at(frame.stamp_ns))
+
+    def depth_of(frame: Frame) -> np.ndarray | None:
+        try:
+            return None if depths is None else depths.at(frame.stamp_ns)
+        except InputError as error:
+            note(runs, f'{frame.name or f"Image {frame.index}"} was tracked without its depth '
+                 f'image: {error}')
+            return None
+
+    instants = (Instant(frame.index, (frame,), frame.stamp_ns if timed else None, depth_of(frame))
                 for frame in source)
 
     def of_frame(listener: Callable[[Frame, tuple[TrackedFrame, ...]], object],

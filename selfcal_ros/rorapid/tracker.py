@@ -110,6 +110,7 @@ class RorapidTracker:
             self._projection.become(camera_model)
             self._pose.allowed.lay()
             self._method.switch(self._pose.basis, camera_model)
+            self._plausibility.adopt(self._control, self._pose.basis, self.options)
         self.measured = self._stamp_ns = self._starting = None
         self._policy = ALONE
         self._track_state.begin(lost=True)
@@ -348,7 +349,9 @@ class RorapidTracker:
             method.disown()
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            self._plausibility.confirmed(starting.sure, measured.state.translation[2])
+            away = self._of_pose(measured.state, measured.covariance)[5, 5]
+            self._plausibility.confirmed(starting.sure, measured.state.translation[2],
+                                         float(away)**0.5)
             return self._judge(measured, image, stamp_ns)
         if good:
             method.glance(image, measured)
@@ -358,6 +361,11 @@ class RorapidTracker:
             method.disown()
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
+
+    def _of_pose(self, state: ObjectPose, covariance: np.ndarray) -> np.ndarray:
+        """Carry a covariance (m, m) of a correction to (theta, Delta), (6, 6)."""
+        B = self._pose.basis
+        return self._projection.covariance_of_pose(state, B @ covariance @ B.T)
 
     def _switch(self, camera_model: str) -> None:
         """Go on from the same pose with another basis of corrections."""
@@ -416,10 +424,9 @@ class RorapidTracker:
         if free.size and measured.details is not None:
             hold_free(self._pose.kalman, free, measured.details.fit.measured)
             full = with_any_turn(full, free)
-        if accepted and len(full) == 6:
-            full = full + self._plausibility.covariance(state, B)
+        doubted = self._plausibility.covariance(state, B) if accepted else np.zeros((6, 6))
         shown = self._method.placed or self.state is not TrackerState.LOST
-        return told_frame(self._control, measured, state, full, accepted, shown=shown,
-                          told=self.state,
+        return told_frame(self._control, measured, state, full, accepted, doubted=doubted,
+                          shown=shown, told=self.state,
                           reason=reason, doubt=self._plausibility.text() if accepted else '',
                           innovation=innovation, stamp_ns=stamp_ns)

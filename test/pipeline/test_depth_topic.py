@@ -18,6 +18,7 @@ from types import SimpleNamespace
 from msg_adapters.image import depth_metres, image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
+import cv2
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -27,6 +28,8 @@ from selfcal_ros.cli.main import main
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.depth_pairing import DepthPairing
 from selfcal_ros.pipeline.depth_topic import DepthTopic, open_depths
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.tracking_run import Target, track_objects
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.poses_csv import read_poses
 from selfcal_ros.rorapid.model import write_model
@@ -84,6 +87,31 @@ def test_images_wait_for_their_depth_until_the_next_image():
     assert pairing.depth(133 * MS, 'E') == [('e', 'E')]
     # the depth camera fell silent: nothing waits
     assert pairing.image(2000 * MS, 'f') == [('f', None)]
+
+
+@pytest.mark.parametrize('lead_ms', (0, 40, 50, 300, 450))
+def test_depths_that_come_first_are_kept_for_their_images(lead_ms):
+    pairing, paired = DepthPairing(), []
+    arrivals = sorted([(33 * k + lead_ms, 'image', k) for k in range(1, 30)]
+                      + [(33 * k, 'depth', k) for k in range(1, 45)])
+    for _, what, k in arrivals:
+        paired += getattr(pairing, what)(33 * k * MS, k)
+    # with one clock the order of the two topics is open
+    assert [depth for _, depth in paired[2:]] == [image for image, _ in paired[2:]]
+    assert len(paired) >= 28
+
+
+def test_depths_of_another_run_of_the_recording_are_forgotten():
+    pairing = DepthPairing()
+    pairing.depth(300 * MS, 'old')
+    assert pairing.image(300 * MS, 'a') == [('a', 'old')]
+    # played again: the depths come first, and the one of the image is missing
+    assert pairing.depth(33 * MS, 'B') == [] and pairing.image(33 * MS, 'b') == [('b', 'B')]
+    assert pairing.image(300 * MS, 'c') == []
+    assert pairing.depth(300 * MS, 'C') == [('c', 'C')]
+    # far ahead of the depths, or far behind them, none is waited for
+    assert pairing.image(5000 * MS, 'd') == [('d', None)]
+    assert pairing.depth(9000 * MS, 'E') == [] and pairing.image(0, 'e') == [('e', None)]
 
 
 @pytest.fixture(scope='module')
@@ -147,3 +175,27 @@ def test_depths_of_other_times_are_not_used_in_silence(made, tmp_path, capsys):
                      made.model, tmp_path / 'block.yaml')), '--camera',
                  str(tmp_path / 'camera.yaml'), '--output', str(tmp_path / 'poses.csv')]) == 2
     assert 'No image has a depth image of its time' in capsys.readouterr().err
+
+
+def test_a_depth_message_that_cannot_be_used_is_told_and_the_run_goes_on(made, tmp_path):
+    made, images, depths = made
+    folder = tmp_path / 'images'
+    folder.mkdir()
+    for k, image in enumerate(images[:6]):
+        cv2.imwrite(str(folder / f'frame{k}.png'), image)
+
+    class Depths:
+        asked = -1
+
+        def at(self, stamp):
+            self.asked += 1
+            if self.asked == 2:
+                raise InputError('A depth image must be 16UC1.')
+            return depths[self.asked]
+
+    with open_source(folder) as source:
+        run, = track_objects(source, [Target(made.model, (
+            made.rotations[0], made.translations[0]))], made.camera, depths=Depths())
+    assert run.images == 6 and run.by_state == {'tracking': 6}
+    said = 'frame2.png was tracked without its depth image: A depth image must be 16UC1.'
+    assert run.remarks == [said] and said in run.text()

@@ -13,6 +13,7 @@
 # limitations under the License.
 """Several cameras of one object, from files: transforms, instants, the command line."""
 
+from dataclasses import replace
 from functools import lru_cache
 import json
 
@@ -231,3 +232,29 @@ def test_a_start_that_only_one_camera_sees_is_enough_and_sizes_are_checked():
     assert session.look([images[0][0], None], 0).sees == (True, False)
     assert session.look([None, images[1][1]], 33_000_000).sees == (False, True)
     assert session.snapshot().images == 2 and session.newest.state.value == 'tracking'
+
+
+def test_the_same_cameras_once_more_change_nothing():
+    recordings, cameras, images = scene()
+    truth = recordings[0]
+    sessions = [RigSession(truth.model, cameras) for _ in range(2)]
+    for session in sessions:
+        session.start(truth.rotations[0], truth.translations[0])
+    for k in range(6):
+        if k in (3, 5):
+            # as a transform of something else on /tf_static makes the node do
+            copies = [replace(one, T_rig_camera=one.T_rig_camera.copy(),
+                              covariance=one.covariance.copy()) for one in cameras]
+            assert not sessions[1].set_cameras(copies)
+        one, other = (session.look([some[k] for some in images], k * 33_000_000)
+                      for session in sessions)
+        assert np.array_equal(one.tracked.translation, other.tracked.translation)
+        assert np.array_equal(one.tracked.covariance, other.tracked.covariance)
+    moved = cameras[1].T_rig_camera.copy()
+    moved[0, 3] += 1e-4
+    assert sessions[1].set_cameras([cameras[0], replace(cameras[1], T_rig_camera=moved)])
+    no_pose = replace(cameras[1], T_rig_camera=np.zeros((4, 4)))
+    for _ in range(2):
+        with pytest.raises(InputError, match='is no pose'):
+            sessions[1].set_cameras([cameras[0], no_pose])
+    assert np.array_equal(sessions[1].cameras[1].T_rig_camera, moved)

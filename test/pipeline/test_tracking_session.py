@@ -230,6 +230,8 @@ def test_starts_are_read_from_numbers_files_and_clicks(recording, tmp_path):
             (str(tmp_path / 'a.init'), [1, 2, 3], ArgumentError, 'takes 12 numbers'),
             (str(tmp_path / 'a.init'), wrong, InputError, 'order of a.init'),
             (str(tmp_path / 'words.pos'), None, InputError, "holds 'hi', where numbers are"),
+            (numbers, clicks, ArgumentError, 'leave one of them out'),
+            (str(tmp_path / 'a.pos'), clicks, ArgumentError, 'leave one of them out'),
             ('nowhere.pos', None, InputError, 'nowhere.pos')):
         with pytest.raises(error, match=words):
             read_start(init, given, made.camera)
@@ -240,3 +242,31 @@ def test_a_loss_in_a_single_image_is_told_as_one():
                       stretches=[(2, 2, 'Hidden.'), (7, 9, 'Gone.')])
     said = run.text().splitlines()
     assert 'Lost in image 2: Hidden.' in said and 'Lost from image 7 to 9: Gone.' in said
+
+
+def test_a_loss_is_one_where_only_every_third_image_is_tracked(session, recording):
+    made, images = recording
+    run = TrackingRun()
+    for k in range(12):
+        image = np.zeros_like(images[0]) if 2 <= k < 9 else images[0]
+        run.count(3 * k, session.add(image))
+    (first, last, _), = run.stretches
+    assert first % 3 == 0 and 9 <= first <= 21 and last >= 24
+    assert run.text().count('Lost ') == 1
+
+
+def test_a_start_after_a_search_is_sought_where_it_was(recording):
+    made, images = recording
+    blank = np.full_like(images[0], 120)
+    said = []
+    for seeks in (False, True):
+        session = TrackingSession(made.model, camera=made.camera)
+        if seeks:
+            session.seek()
+            for _ in range(2):
+                assert session.add(blank).state is TrackerState.LOST
+        session.start(*guess(made))
+        frames = [session.add(blank) for _ in range(6)]
+        assert frames[-1].state is TrackerState.LOST and len(frames[-1].image_px)
+        said.append(frames[-1].reason)
+    assert said[0] == said[1]

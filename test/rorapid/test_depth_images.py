@@ -27,6 +27,7 @@ from selfcal_ros.synthetic.depth_scenes import depth_of
 from selfcal_ros.synthetic.mesh_scenes import bean, MeshRenderer
 from selfcal_ros.synthetic.objects import object_poses, tracked_object
 from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.wireframe import Polygon
 
 CAMERA = Camera(np.array([[520, 0, 320], [0, 520, 240], [0, 0, 1.0]]), (), 640, 480)
 VIEWS = 16
@@ -126,3 +127,21 @@ def test_places_lie_on_the_surface_evenly_with_normals_outward(shape):
     low, high = model.extent.min(axis=0), model.extent.max(axis=0)
     assert (points > low - 1e-9).all() and (points < high + 1e-9).all()
     assert np.allclose(points.mean(axis=0), centre, atol=0.12 * np.ptp(model.extent))
+
+
+@pytest.mark.parametrize('which', ('all', 'every other'))
+def test_faces_may_be_wound_in_any_way(which):
+    made, images = block()
+    corners = made.model.vertices[made.model.triangles]
+    depths = [depth_of(corners, pose, made.camera, np.random.default_rng(k), 1.5)
+              for k, pose in enumerate(made.cam_from_world)]
+    model = replace(made.model, faces=tuple(
+        Polygon(face.indices[::-1], face.name) if which == 'all' or k % 2 else face
+        for k, face in enumerate(made.model.faces)))
+    frames = followed(model, made.cam_from_world, images, depths, made.camera)
+    assert all(frame.state is TrackerState.TRACKING for frame in frames)
+    # places on the far side would be compared with what is before them
+    usual = followed(made.model, made.cam_from_world, images, depths, made.camera)
+    off, as_usual = (np.sqrt(np.mean(errors(some, made.cam_from_world)**2, axis=0))
+                     for some in (frames, usual))
+    assert np.linalg.norm(off[:3]) < 1.3 * np.linalg.norm(as_usual[:3])

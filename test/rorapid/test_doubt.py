@@ -22,8 +22,11 @@ import numpy as np
 import pytest
 
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
+from selfcal_ros.rorapid.estimation.size_check import SizeCheck
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.synthetic.objects import SHAPES, SolidObject, tracked_object
+from selfcal_ros.synthetic.render import quantise, Renderer, Scene
+from selfcal_ros.values.wireframe import Polygon
 
 
 @lru_cache(maxsize=None)
@@ -126,3 +129,81 @@ def test_the_size_is_told_by_a_measured_distance_alone():
     made, _ = recorded()
     error = frame.translation - made.translations[-1]
     assert error @ np.linalg.solve(frame.covariance[:3, :3], error) < 12
+
+
+@pytest.mark.parametrize('which', ('all', 'every other'))
+def test_a_face_that_is_too_far_out_is_said_however_faces_are_wound(which):
+    model = recorded()[0].model
+    normal, corner = model.face_normals[3], model.vertices[model.faces[3].indices[0]]
+    height = (model.vertices - corner) @ normal
+    farther = np.where(np.abs(height) < 1e-9, 0.06 * np.ptp(height), 0.0)[:, None] * normal
+    faces = tuple(Polygon(face.indices[::-1], face.name) if which == 'all' or k % 2 else face
+                  for k, face in enumerate(model.faces))
+    doubt = follow(replace(model, vertices=model.vertices + farther, faces=faces))[-1].doubt
+    assert doubt.startswith('The model from face side 1 inwards seems') and 'too long' in doubt
+    assert float(doubt.split('seems ')[1].split()[0]) == pytest.approx(6, abs=0.7)
+
+
+def test_a_true_size_is_doubted_as_seldom_as_three_sigmas_say():
+    rng = np.random.default_rng(4)
+    start, found = 3.3 + 0.002 * rng.normal(size=4000), 3.3 + 0.005 * rng.normal(size=4000)
+    doubted = 0
+    for one, other in zip(start, found):
+        check = SizeCheck(one, 0.002)
+        check.measure(other, 0.005)
+        doubted += bool(check.text())
+    assert doubted < 0.006 * 4000
+    # of a model that is 2 % too large the sigma of the difference is told, 100 * 0.0054 / 3.3
+    check = SizeCheck(3.3, 0.002)
+    check.measure(1.02 * 3.3, 0.005)
+    assert '2.0 ± 0.2 % farther' in check.text() and 'too large' in check.text()
+
+
+def test_a_small_image_of_the_object_raises_no_doubt_of_its_size():
+    made = tracked_object(1, 'box', noise_sigma=2.0)
+    pose = made.cam_from_world[0] * [1, 1, 1, 8.0]
+    away = float(np.linalg.norm(pose[:, 3]))
+    picture = Renderer(Scene([one for one in made.surfaces if one.body == 0]), made.camera, 4,
+                       background=60.0).intensity(pose)
+    doubts = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        tracker = RorapidTracker(made.model, made.camera)
+        # the distance was measured to 2 mm; one image tells it to some 5 mm
+        tracker.start(pose[:, :3], pose[:, 3] * (1 + 0.002 / away * rng.normal()),
+                      distance_sigma_m=0.002)
+        frames = [tracker.track(quantise(picture, rng, 2.0)) for _ in range(2)]
+        assert frames[-1]
+        doubts.append(frames[-1].doubt)
+    assert sum(map(bool, doubts)) <= 1
+
+
+@pytest.mark.parametrize('camera_model', ('perspective', 'zoom'))
+def test_a_start_that_is_too_far_widens_the_sigma_along_the_ray(camera_model):
+    made, images = recorded()
+    tracker = RorapidTracker(made.model, made.camera, TrackerOptions(camera_model=camera_model))
+    tracker.start(made.rotations[0], 1.08 * made.translations[0], distance_sigma_m=0.002)
+    frame = [tracker.track(image) for image in images][-1]
+    assert 'nearer than the start says' in frame.doubt
+    # either the start or the model is wrong, by 7.7 %
+    assert frame.covariance[2, 2]**0.5 > 0.06 * made.translations[-1][2]
+
+
+def test_what_a_doubt_adds_after_a_reset_is_what_it_adds_at_first():
+    made = tracked_object(60, 'box', motion='planar', background=True, supersampling=1)
+    renderer = made.renderer()
+    images = [made.frame(k, renderer) for k in range(60)]
+    wrong = replace(made.model, vertices=made.model.vertices * [1, 1, 1.06])
+
+    def tracked(tracker, count):
+        tracker.start(made.rotations[0], made.translations[0])
+        return [tracker.track(image, k * 33_000_000)
+                for k, image in enumerate(images[:count])][-1]
+
+    # a plane of motion is learned, and forgotten
+    first = RorapidTracker(wrong, made.camera, TrackerOptions(motion='planar'))
+    tracked(first, 60)
+    first.reset()
+    other = RorapidTracker(wrong, made.camera, TrackerOptions(motion='planar'))
+    one, two = tracked(first, 8), tracked(other, 8)
+    assert two.doubt and np.allclose(one.covariance, two.covariance, rtol=1e-3, atol=0)

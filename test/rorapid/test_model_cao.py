@@ -18,7 +18,8 @@ import pytest
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.model import read_model
+from selfcal_ros.rorapid.model import (
+    Cylinder, Polygon, read_model, WireframeModel, write_model)
 
 TETRAHEDRON = """V1
 # 3D points
@@ -218,3 +219,16 @@ def test_a_model_of_others_whose_parts_are_missing_names_the_part():
     else:
         with pytest.raises(InputError, match='brick-2x4.cao'):
             read_model(path)
+
+
+def test_least_sizes_in_the_image_are_written(tmp_path):
+    square = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
+    model = WireframeModel.build(
+        square, [[0, 2], [0, 1]], [Polygon(range(4), 'top', 900.0)], ['seam', ''], [50.0, 20.0],
+        cylinders=[Cylinder([0.3, 0, 0], [0.3, 0.1, 0], 0.02, 'pipe', 35.0)])
+    again = read_model(write_model(model, tmp_path / 'again.cao'))
+    least = {frozenset(pair): length for pair, length in zip(
+        again.lines.tolist(), again.line_min_length_px)}
+    assert len(least) == 5 and least[frozenset((0, 2))] == 50 and least[frozenset((0, 1))] == 20
+    assert sum(length > 0 for length in least.values()) == 2
+    assert again.faces[0].min_area_px2 == 900 and again.cylinders[0].min_length_px == 35

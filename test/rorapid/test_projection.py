@@ -116,3 +116,24 @@ def test_the_pose_nearest_to_an_affine_camera():
     assert np.allclose(again.translation, state.translation, atol=1e-9)
     covariance = projection.covariance_of_pose(state, 1e-6 * np.eye(8))
     assert covariance.shape == (6, 6) and np.linalg.eigvalsh(covariance).min() > -1e-15
+
+
+@pytest.mark.parametrize('values, lens', (
+    ((-0.3, 0, 0, 0), 'plumb_bob'), ((-0.3, 0.09, 0, 0, -0.01), 'plumb_bob'),
+    ((0.02, -0.02, -0.01, 0), 'equidistant')))
+def test_what_a_lens_does_not_see_is_not_in_the_image(values, lens):
+    camera = Camera([[400, 0, 320], [0, 400, 240], [0, 0, 1]], values, 640, 480, lens)
+    projection = Projection(camera)
+    state = projection.from_pose(np.eye(3), [0, 0, 1.0])
+    widest = np.tan(camera.lens.widest_angle(camera.distortion))
+    radius = np.r_[np.linspace(0.02, 0.98, 20), np.geomspace(1.02, 1e3, 400)] * widest
+    turn = np.linspace(0, 2 * np.pi, 7)[:, None, None]
+    direction = np.concatenate([np.cos(turn), np.sin(turn)], axis=2)
+    points = np.concatenate([radius[:, None] * direction, np.zeros((7, 420, 1))], axis=2)
+    pixels = projection.project(state, points.reshape(-1, 3)).pixels.reshape(7, 420, 2)
+    away = pixels - camera.K[:2, 2]
+    # on the side of the ray, farther and farther out
+    assert (np.einsum('nci,ni->nc', away, direction[:, 0]) > 0).all()
+    assert (np.linalg.norm(away[:, 20:], axis=2) > 4000).all()
+    seen = camera.project(points[:, :20].reshape(-1, 3) + [0, 0, 1])
+    assert np.allclose(pixels[:, :20].reshape(-1, 2), seen)

@@ -194,3 +194,18 @@ def test_what_is_for_one_camera_is_refused_in_a_sentence():
     rig.start(truth.rotations[0], truth.translations[0])
     with pytest.raises(ArgumentError, match='no image of any camera'):
         rig.track([None, None])
+
+
+def test_a_pose_that_is_not_confirmed_is_told_in_the_frame_of_the_rig():
+    (truth, _), cameras, images = scene()
+    rig = RigTracker(truth.model, cameras)
+    guessed = np.diag([1e-4, 1e-4, 9e-4, 1e-4, 1e-4, 1e-4])
+    rig.start(truth.rotations[0], truth.translations[0], guessed)
+    blank = np.full_like(images[1][0], 120)
+    # in the frame of the second camera the object is 22 mm and 20 degrees elsewhere
+    for k, instant in enumerate(((None, blank), (blank, blank), (None, blank))):
+        tracked = rig.track(instant).tracked
+        assert tracked.state is TrackerState.INITIALISING
+        assert np.linalg.norm(tracked.translation - truth.translations[0]) < 1e-3
+        assert np.allclose(tracked.rotation, truth.rotations[0], atol=1e-3)
+        assert k or np.allclose(tracked.covariance[:3, :3], guessed[:3, :3], atol=1e-6)

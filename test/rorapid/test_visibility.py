@@ -20,7 +20,9 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.polygon import cut_into_triangles
+from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.model import Conic, Cylinder, Polygon, WireframeModel
+from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.visibility.visibility_table import VisibilityTable
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.object_shapes import cube, spool, step_block
@@ -307,3 +309,18 @@ def test_each_control_point_has_its_nearest_in_another_layout():
     # three lie about each of the few
     assert (np.bincount(nearest) == 3).all()
     assert (nearest[few.nearest_in(many)] == np.arange(few.size)).all()
+
+
+def test_what_is_small_in_the_image_is_not_searched():
+    square = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
+    model = WireframeModel.build(
+        square, [[0, 2]], [Polygon(range(4), min_area_px2=900)], line_min_length_px=[50],
+        cylinders=[Cylinder([0.3, 0, 0], [0.3, 0.1, 0], 0.02, min_length_px=35)])
+    camera = Camera([[400, 0, 320], [0, 400, 240], [0, 0, 1]], (), 640, 480)
+    control = ControlModel(VisibleModel(model), Projection(camera), (640, 480))
+    # the square is 40, 33, 29.6 px wide, its diagonal 57, 47, 42 px, the pipe 40, 33, 29.6 px long
+    for away, lines, pipes in ((1.0, 5, 2), (1.2, 4, 0), (1.35, 0, 0)):
+        view = control.view(control.projection.from_pose(
+            np.eye(3), np.array([0, 0, away]) + control.centre))
+        searched = np.unique(view.primitive[view.searched])
+        assert (np.sum(searched < 5), np.sum(searched >= 5)) == (lines, pipes)

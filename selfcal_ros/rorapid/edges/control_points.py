@@ -130,7 +130,8 @@ class ControlModel:
         """Return the control points that a state shows."""
         # hidden parts are those of the full perspective view, whatever the camera model
         seen = self.visible_model.control_points(
-            state.rotation, state.translation - state.rotation @ self.centre)
+            state.rotation, state.translation - state.rotation @ self.centre,
+            state.zoom * float(self.projection.camera.K[0, 0]))
         points = seen.object_points - self.centre
         return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
                            seen.inward, state)

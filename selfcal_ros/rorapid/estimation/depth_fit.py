@@ -23,6 +23,10 @@ with X the place, X' the same without the translation, and Y the point measured 
 point-to-plane distance of Chen and Medioni, 1992). A depth camera also errs by one factor for all
 pixels. It is estimated beside, with its own sigma. Where that factor is much larger, the model has
 another size than the object, which no grey image tells.
+
+Plane faces are seen from both sides, and files wind them in any way. So the normal is the one that
+looks at the camera, and a place counts where nothing of the object is before it. The normals of a
+mesh lead outward.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ from selfcal_ros.geometry.robust_loss import tukey_weight
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 from selfcal_ros.values.wireframe import across_axes, WireframeModel
 
 #: Places on the surface, and on each side of the grid whose cells err alike.
@@ -79,7 +84,8 @@ class DepthFit:
 
     Parameters
     ----------
-    model : WireframeModel
+    visible : VisibleGeometry
+        The model.
     centre : ndarray, shape (3,)
         Origin of the tracker's object frame.
     projection : Projection
@@ -89,12 +95,13 @@ class DepthFit:
 
     """
 
-    def __init__(self, model: WireframeModel, centre: np.ndarray, projection: Projection,
+    def __init__(self, visible: VisibleGeometry, centre: np.ndarray, projection: Projection,
                  scale_sigma: float):
         """Spread places over the faces."""
-        self._points, self._normals = surface_places(model, _PLACES)
+        self._visible, self._centre = visible, centre
+        self._points, self._normals = surface_places(visible.model, _PLACES)
         self._points = self._points - centre
-        self._size = float(np.ptp(model.extent, axis=0).max())
+        self._size = float(np.ptp(visible.model.extent, axis=0).max())
         self._projection, self._scale_sigma = projection, scale_sigma
 
     def improved(self, measured: PoseMeasurement, depth: np.ndarray,
@@ -118,8 +125,9 @@ class DepthFit:
         prior = np.linalg.inv(measured.covariance)
         state, first = measured.state, measured.state
         limit, share = _FIRST * self._size, None
+        unhidden = self._unhidden(state)
         for _ in range(_STEPS):
-            seen = self._seen(state, depth)
+            seen = self._seen(state, depth, unhidden)
             if seen is None:
                 return None
             turned, place, normal, ratio = seen
@@ -153,16 +161,28 @@ class DepthFit:
         return DepthSays(replace(measured, state=state, covariance=covariance), alone,
                          float(free[-1, -1])**0.5, int((weight > 0).sum()))
 
-    def _seen(self, state: ObjectPose, depth: np.ndarray,
+    def _unhidden(self, state: ObjectPose) -> np.ndarray:
+        """Which places no face hides, (N,) bool; of a mesh all, for its normals tell enough."""
+        if self._visible.surface is not None:
+            return np.ones(len(self._points), bool)
+        shown: np.ndarray = ~self._visible.behind(
+            self._points + self._centre, state.rotation,
+            state.translation - state.rotation @ self._centre)
+        return shown
+
+    def _seen(self, state: ObjectPose, depth: np.ndarray, unhidden: np.ndarray,
               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """Return the places that have a depth: without translation, in space, normals, ratios."""
         turned = self._points @ state.rotation.T
         place, normal = turned + state.translation, self._normals @ state.rotation.T
-        away = np.linalg.norm(place, axis=1)
+        away, along = np.linalg.norm(place, axis=1), np.einsum('ni,ni->n', normal, place)
+        if self._visible.surface is None:
+            normal = np.where(along[:, None] > 0, -normal, normal)
+            along = -np.abs(along)
         pixels = self._projection.project(state, self._points).pixels
         column, row = np.rint(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0)).T
         height, width = depth.shape
-        shown = ((np.einsum('ni,ni->n', normal, place) < -_FLAT * away) & (place[:, 2] > 0)
+        shown = (unhidden & (along < -_FLAT * away) & (place[:, 2] > 0)
                  & (column >= 0) & (row >= 0) & (column < width) & (row < height))
         at = np.flatnonzero(shown)
         there = depth[row[at].astype(int), column[at].astype(int)]
@@ -187,7 +207,7 @@ def surface_places(model: WireframeModel, count: int) -> tuple[np.ndarray, np.nd
     points : ndarray, shape (N, 3)
         Metres, in the frame of the model.
     normals : ndarray, shape (N, 3)
-        Of unit length, outward.
+        Of unit length, outward; of plane faces to the side that their winding tells.
 
     """
     corners = model.vertices[model.triangles].reshape(-1, 3, 3)

@@ -78,7 +78,7 @@ class DepthImages:
         if not measured.determined or not measured.with_prior:
             return measured
         if self._fit is None:
-            self._fit = DepthFit(self._control.visible_model.model, self._control.centre,
+            self._fit = DepthFit(self._control.visible_model, self._control.centre,
                                  self._control.projection, self._scale_sigma)
         says = self._fit.improved(measured, depth, basis)
         if says is None:

@@ -38,6 +38,8 @@ from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.values.mesh_orientation import oriented
+from selfcal_ros.values.same_place import same_place
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: Images that are looked at: each one at first, until so many; then every so many, until so many
@@ -268,8 +270,9 @@ def patterns_of(control: ControlModel) -> list[_Pattern]:
         return found
     size = model.diameter_m
     points = model.vertices
+    outward = _outward_normals(model)
     for k, face in enumerate(model.faces):
-        normal = model.face_normals[k]
+        normal = outward[k]
         height = (points - points[face.indices[0]]) @ normal
         extent = float(np.ptp(points @ normal))
         if extent > 0.02 * size:
@@ -289,6 +292,23 @@ def patterns_of(control: ControlModel) -> list[_Pattern]:
             step[model.same(far)] = points[far] - points[near]
             found.append(_Pattern('edge', f'The edge {name} of the model', visible.carried(step)))
     return found
+
+
+def _outward_normals(model: WireframeModel) -> np.ndarray:
+    """Unit normals (F, 3) of the faces that lead out of the object, however they are wound."""
+    normals = model.face_normals.copy()
+    if not len(normals):
+        return normals
+    triangles = same_place(model.vertices)[model.triangles]
+    turned, _ = oriented(model.vertices, triangles)
+    normals[model.triangle_face[turned[:, 0] != triangles[:, 0]]] *= -1
+    flat = 1e-3 * model.diameter_m
+    for normal, face in zip(normals, model.faces):
+        height = (model.vertices - model.vertices[face.indices[0]]) @ normal
+        # where all of the object is on one side, that is inside, be it closed or not
+        if height.min() > -flat and height.max() > flat:
+            normal *= -1
+    return normals
 
 
 def _directions(model: WireframeModel) -> list[np.ndarray]:

@@ -82,10 +82,20 @@ class PlausibilityChecks:
         if self._model is not None:
             self._model.forget()
 
-    def confirmed(self, sure: bool, distance_m: float) -> None:
-        """Take a start that was confirmed; whether it is the object without doubt."""
+    def confirmed(self, sure: bool, distance_m: float, sigma_m: float) -> None:
+        """
+        Take a start that was confirmed.
+
+        Parameters
+        ----------
+        sure : bool
+            It is the object without doubt.
+        distance_m, sigma_m : float
+            At which it was found, and how well that is known.
+
+        """
         self._sure = sure
-        self._size.measure(distance_m)
+        self._size.measure(distance_m, sigma_m)
 
     def look(self, image: np.ndarray, measured: PoseMeasurement, check: StartCheck) -> None:
         """Look, now and then, whether this is the object."""
@@ -110,7 +120,8 @@ class PlausibilityChecks:
         added = np.zeros((6, 6))
         bias = None if self._model is None else self._model.bias()
         if bias is not None:
-            added += np.outer(basis @ bias, basis @ bias)
+            moved = basis[:6] @ bias
+            added += np.outer(moved, moved)
         if self._size.share:
             away = np.r_[np.zeros(3), self._size.share * state.translation]
             added += np.outer(away, away)

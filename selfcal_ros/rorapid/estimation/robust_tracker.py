@@ -84,11 +84,7 @@ class RobustTracker:
                                      options.texture_points)
         self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
-        self._lost_images = 0
-        #: Whether there ever was a place to search around.
-        self.placed = True
-        #: Whether much of the object is hidden by other things: then more corners are followed.
-        self._much_hidden = False
+        self._begin()
         self._outline = np.asarray(control.visible_model.model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._edges = EdgeSearch(control, basis, options, self._corners)
@@ -107,12 +103,21 @@ class RobustTracker:
         """What seeks an object that is lost: itself, if the options ask for it."""
         return self if self.options.seeks else None
 
+    def _begin(self) -> None:
+        """Begin with a place to search around, and nothing known of the images."""
+        self._lost_images = 0
+        #: Whether there ever was a place to search around.
+        self.placed = True
+        #: Whether much of the object is hidden by other things: then more corners are followed.
+        self._much_hidden = False
+
     def seek(self) -> None:
         """Begin without any place to search around."""
         self.placed = False
 
     def reset(self) -> None:
         """Forget what the object looks like."""
+        self._begin()
         self._edges.forget()
         self.texture.forget()
         self._views.forget()

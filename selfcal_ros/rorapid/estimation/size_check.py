@@ -15,7 +15,8 @@
 Is the object as large as its model? Only what is known of its distance tells.
 
 With one camera a model that is too large by a share s gives poses that are too far by s, and the
-same image. So the first distance that is found is held against what the start said of it.
+same image. So the first distance that is found is held against what the start said of it. Both are
+known with a sigma.
 """
 
 from __future__ import annotations
@@ -43,25 +44,28 @@ class SizeCheck:
     ----------
     share : float
         By how much the object was found farther than it should be, 0 where that may be.
+    share_sigma : float
+        Its standard deviation: of the start, if it was measured, and of the pose.
 
     """
 
     def __init__(self, distance_m: float, sigma_m: float | None):
         """Wait for the first pose."""
         self._distance, self._sigma = distance_m, sigma_m
-        self.share = 0.0
+        self.share = self.share_sigma = 0.0
 
-    def measure(self, distance_m: float) -> None:
-        """Take the distance that was found."""
+    def measure(self, distance_m: float, sigma_m: float) -> None:
+        """Take the distance that was found, with its standard deviation."""
         share = math.log(distance_m / self._distance)
-        most = _GUESSED if self._sigma is None else _SIGMAS * self._sigma / self._distance
+        self.share_sigma = math.hypot(self._sigma or 0.0, sigma_m) / self._distance
+        most = max(_SIGMAS * self.share_sigma, _GUESSED if self._sigma is None else 0.0)
         self.share = share if abs(share) > most else 0.0
 
     def text(self) -> str:
         """Return a sentence, empty where all is well."""
         if not self.share:
             return ''
-        sigma = '' if self._sigma is None else f' ± {100 * self._sigma / self._distance:.1f}'
+        sigma = '' if self._sigma is None else f' ± {100 * self.share_sigma:.1f}'
         side, size = ('farther', 'large') if self.share > 0 else ('nearer', 'small')
         amount = 100 * abs(math.expm1(self.share))
         return (f'The object is {amount:.1f}{sigma} % {side} than the start says: the model is as '

@@ -32,8 +32,9 @@ _OF_PLACES = ('image_px', 'normal', 'edge_px', 'found', 'rejected', 'hidden', 'p
 
 
 def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPose,
-               covariance: np.ndarray, accepted: bool, *, shown: bool, told: TrackerState,
-               reason: str, doubt: str, innovation: float, stamp_ns: int | None) -> TrackedFrame:
+               covariance: np.ndarray, accepted: bool, *, doubted: np.ndarray, shown: bool,
+               told: TrackerState, reason: str, doubt: str, innovation: float,
+               stamp_ns: int | None) -> TrackedFrame:
     """
     Put a result into the object's own frame.
 
@@ -47,6 +48,8 @@ def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPo
         Of a correction of it, (theta, Delta) first.
     accepted : bool
         The measurement confirms the state.
+    doubted : ndarray, shape (6, 6)
+        What a doubt adds to the covariance of (theta, Delta), whatever the camera model.
     shown : bool
         Its places in the image mean something: those of an object that was never seen do not.
     told, reason, doubt, innovation, stamp_ns
@@ -60,7 +63,7 @@ def told_frame(control: ControlModel, measured: PoseMeasurement, state: ObjectPo
     projection = control.projection
     arm = state.rotation @ control.centre
     carry = recentring(arm)
-    pose = carry @ projection.covariance_of_pose(state, covariance) @ carry.T
+    pose = carry @ (projection.covariance_of_pose(state, covariance) + doubted) @ carry.T
     view = measured.view
     if not (accepted and measured.with_prior):
         view = control.again(view, state)

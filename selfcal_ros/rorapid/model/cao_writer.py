@@ -27,13 +27,16 @@ from selfcal_ros.values.wireframe import Conic, WireframeModel
 
 #: Axes of a circle differ by this share at the most, and are square up to this cosine.
 _ROUND = 0.02
+#: What ViSP calls the least size in the image.
+_LENGTH, _AREA = 'minLineLengthThreshold', 'minPolygonAreaThreshold'
 
 
 def write_cao(model: WireframeModel, path: str | Path, replace: bool = True) -> Path:
     """
     Write a model as ViSP's ``.cao``, to a temporary file that is then renamed.
 
-    Borders of faces are not written as lines: who reads the file draws them anyway.
+    Borders of faces are not written as lines: who reads the file draws them anyway. Those with a
+    least length are, for only a line can have one.
 
     Parameters
     ----------
@@ -60,19 +63,20 @@ def write_cao(model: WireframeModel, path: str | Path, replace: bool = True) -> 
         return len(points) - 1
 
     borders = {frozenset(pair) for face in model.faces for pair in face.borders()}
-    lines = [(int(a), int(b), name) for (a, b), name in zip(model.lines, model.line_names)
-             if frozenset((int(a), int(b))) not in borders]
+    lines = [f'{a} {b}{_name(name)}{_least(_LENGTH, least)}' for (a, b), name, least in zip(
+        model.lines, model.line_names, model.line_min_length_px)
+        if least > 0 or frozenset((int(a), int(b))) not in borders]
     cylinders = [f'{point(c.start)} {point(c.end)} {c.radius_m:.9g}{_name(c.name)}'
-                 for c in model.cylinders]
+                 f'{_least(_LENGTH, c.min_length_px)}' for c in model.cylinders]
     circles = [_circle(conic, point, path) for conic in model.conics]
     parts = [
         'V1',
         *_list('points', [' '.join(f'{value:.9g}' for value in xyz) for xyz in points]),
-        *_list('lines', [f'{a} {b}{_name(name)}' for a, b, name in lines]),
+        *_list('lines', lines),
         *_list('faces from lines', []),
         *_list('faces from points', [
             f'{len(face.indices)} {" ".join(map(str, face.indices))}{_name(face.name)}'
-            for face in model.faces]),
+            f'{_least(_AREA, face.min_area_px2)}' for face in model.faces]),
         *_list('cylinders', cylinders), *_list('circles', circles)]
     return atomic_write(path, '\n'.join(parts) + '\n', replace)
 
@@ -85,6 +89,11 @@ def _name(name: str) -> str:
     """Write a name as a parameter; quotes and line ends cannot be in it."""
     plain = ''.join(letter for letter in name if letter.isprintable() and letter not in '"#')
     return f' name="{plain}"' if plain else ''
+
+
+def _least(key: str, pixels: float) -> str:
+    """Write the least size in the image as parameters; nothing where there is none."""
+    return f' useLod=true {key}={pixels:.9g}' if pixels > 0 else ''
 
 
 def _circle(conic: Conic, point: Callable[[np.ndarray], int], path: Path) -> str:

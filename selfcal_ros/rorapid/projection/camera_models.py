@@ -34,6 +34,8 @@ from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Points nearer than this (metres) count as behind the camera.
 NEAREST_M = 1e-6
+#: What a lens does not see is put so many focal lengths from the principal point.
+_FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,9 @@ class Projection:
         self._pixel = camera.K[:2, :2].copy()
         self._centre = camera.K[:2, 2].copy()
         self._distorted = not camera.is_pinhole
+        widest = camera.lens.widest_angle(camera.distortion) if self._distorted else np.inf
+        # beyond it the lens's formula leads back into the image
+        self._widest = math.tan(widest) if widest < 0.5 * math.pi else np.inf
 
     def become(self, model: str) -> None:
         """Take another camera model."""
@@ -140,7 +145,8 @@ class Projection:
         Returns
         -------
         ProjectedPoints
-            Points behind the camera come far outside of the image, never on the other side.
+            Points behind the camera come far outside of the image, never on the other side. So
+            do points at a wider angle than the lens sees.
 
         """
         if self.model == 'affine':
@@ -155,6 +161,9 @@ class Projection:
                 inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
             xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
         image = self._lens_image(xy).xy if self._distorted else xy
+        if self._widest < np.inf:
+            radius = np.hypot(xy[:, 0], xy[:, 1])[:, None]
+            image = np.where(radius > self._widest, xy * (_FAR / np.maximum(radius, 1e-12)), image)
         return ProjectedPoints(image @ (state.zoom * self._pixel.T) + self._centre, xy, turned,
                                inverse)
 

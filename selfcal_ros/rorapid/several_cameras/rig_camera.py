@@ -22,7 +22,7 @@ to the rig and added. So is M (z - x), which pulls a pose x towards the measurem
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -173,6 +173,12 @@ class RigCamera:
         if not self._started:
             return None
         return self.tracker.track(image, stamp_ns)
+
+    def in_rig(self, frame: TrackedFrame) -> TrackedFrame:
+        """Return what this camera tells with its pose in the frame of the rig."""
+        return replace(frame, rotation=self._turn @ frame.rotation,
+                       translation=self._turn @ frame.translation + self._shift,
+                       covariance=self._both @ frame.covariance @ self._both.T)
 
     def settle(self, sees: bool) -> None:
         """Note whether the last image was of use; who sees nothing searches, after a while."""

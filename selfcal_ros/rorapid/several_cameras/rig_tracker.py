@@ -172,7 +172,8 @@ class RigTracker:
             if image is not None and kalman is not None:
                 camera.expect(kalman, self._stamp_ns)
             views.append(None if image is None else camera.look(image, stamp_ns))
-        self._shown = next((view for view in views if view is not None), self._shown)
+        first = self._first(views)
+        self._shown = self._shown if first is None else first
         if self._shown is None:
             if any(camera.is_started for camera in self.members):
                 raise InputError('The only image of this instant is of a camera that looks away '
@@ -345,11 +346,16 @@ class RigTracker:
         return (f'The camera {self._names[others[-1]]} sees the object elsewhere than the others, '
                 f'by {turn:.2f}° and {shift:.1f} mm.'), covariance
 
+    def _first(self, views: Sequence[TrackedFrame | None]) -> TrackedFrame | None:
+        """Return what the first camera with an image tells, in the frame of the rig."""
+        return next((camera.in_rig(view) for camera, view in zip(self.members, views)
+                     if view is not None), None)
+
     def _frame(self, views: Sequence[TrackedFrame | None], group: Sequence[int], reason: str,
                doubt: str, apart: np.ndarray, stamp_ns: int | None) -> RigFrame:
         """Put the result into the object's own frame."""
         sees = tuple(k in group for k in range(len(self.members)))
-        first = next((view for view in views if view is not None), None)
+        first = self._first(views)
         if first is None:
             assert self._shown is not None
             first = unseen(self._shown)

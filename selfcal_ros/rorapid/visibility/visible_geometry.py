@@ -130,6 +130,10 @@ class VisibleGeometry(Protocol):
     def remembered(self) -> np.ndarray:
         """Which control points stay where they are on the object, (size,) bool."""
 
+    def behind(self, points: np.ndarray, rotation: np.ndarray,
+               translation: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) of the object frame lie behind the object, (N,) bool."""
+
 
 class FacetedGeometry(VisibleGeometry, Protocol):
     """What a model of plane faces has besides: each control point has its place on a line."""
@@ -155,7 +159,3 @@ class SurfaceGeometry(VisibleGeometry, Protocol):
     def mask(self, rotation: ArrayLike, translation: ArrayLike, shape: tuple[int, int],
              place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Mask (shape) of the object in an image, roughly, 255 on it; see `VisibleMesh.mask`."""
-
-    def behind(self, points: np.ndarray, rotation: np.ndarray,
-               translation: np.ndarray) -> np.ndarray:
-        """Which points (N, 3) of the object frame lie behind the surface, (N,) bool."""

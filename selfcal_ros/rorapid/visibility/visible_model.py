@@ -71,7 +71,7 @@ class VisibleModel:
     min_visible : int
         A primitive with fewer visible control points is left out.
     min_length_px : float
-        A line that is shorter in the image is left out, if the focal length is told.
+        A line or silhouette that is shorter in the image is left out, if the focal length is told.
 
     Raises
     ------
@@ -138,7 +138,11 @@ class VisibleModel:
         self.limb = L + K
         self._ends, self._L, self._line = ends, L, n
         self._has_min_area = any(face.min_area_px2 > 0 for face in model.faces)
-        self._min_length = np.maximum(model.line_min_length_px, min_length_px)
+        of_cylinders = np.repeat([c.min_length_px for c in model.cylinders], 2)
+        self._min_length = np.concatenate([
+            np.maximum(model.line_min_length_px, min_length_px), np.zeros(K),
+            np.maximum(of_cylinders, min_length_px)])
+        self._has_thresholds = self._has_min_area or bool(self._min_length.any())
         self._sides = self._contour_sides()
 
     def _drawn_on(self, ends: np.ndarray) -> np.ndarray:
@@ -247,6 +251,18 @@ class VisibleModel:
             hidden |= behind.any(axis=1)
         return hidden
 
+    def behind(self, points: np.ndarray, rotation: np.ndarray,
+               translation: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) lie behind faces or cylinders; those on them do not, (N,) bool."""
+        centre = -translation @ rotation
+        rays = centre - points
+        length = np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
+        points = points + ON_FACE * self.model.diameter_m * rays / length
+        hidden = self.hidden(points, centre)
+        if self._solids is not None:
+            hidden |= self._solids.hidden(points, centre)
+        return hidden
+
     def control_points(self, rotation: ArrayLike, translation: ArrayLike,
                        focal_px: float | None = None) -> ControlPoints:
         """
@@ -258,7 +274,8 @@ class VisibleModel:
         translation : ndarray, shape (3,)
             The pose: object -> camera optical frame, metres.
         focal_px : float, optional
-            Focal length; with it, lines that are too short in the image are left out.
+            Focal length; with it, what is too small in the image for the model's thresholds is
+            left out.
 
         Returns
         -------
@@ -279,9 +296,8 @@ class VisibleModel:
             hidden = np.concatenate([hidden, behind])
         visible = ~hidden & ((points - centre) @ rotation[2] > 0)
         seen = np.add.reduceat(visible, self._first) >= self.min_visible
-        if focal_px is not None:
-            seen[:self._L] &= self._large_enough(
-                rotation, np.asarray(translation, float), focal_px)
+        if focal_px is not None and self._has_thresholds:
+            seen &= self._large_enough(rotation, np.asarray(translation, float), focal_px)
         keep = np.flatnonzero(seen[self.primitive])
         primitive = self.primitive[keep]
         return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
@@ -293,18 +309,28 @@ class VisibleModel:
 
     def _large_enough(self, rotation: np.ndarray, translation: np.ndarray, focal_px: float,
                       ) -> np.ndarray:
-        """Which lines are long enough in the image, on a face that is large enough, (L,) bool."""
-        points = self.model.vertices @ rotation.T + translation
-        xy = focal_px * points[:, :2] / np.maximum(points[:, 2:], 1e-3 * self.model.diameter_m)
+        """Which primitives are long enough in the image, on a large enough face, (P,) bool."""
+        def place(points: np.ndarray) -> np.ndarray:
+            seen = points @ rotation.T + translation
+            xy: np.ndarray = focal_px * seen[..., :2] / np.maximum(
+                seen[..., 2:], 1e-3 * self.model.diameter_m)
+            return xy
+
+        xy, length = place(self.model.vertices), np.full(len(self.kind), np.inf)
         span = xy[self.model.lines[:, 1]] - xy[self.model.lines[:, 0]]
-        enough: np.ndarray = np.hypot(*span.T) >= self._min_length
+        length[:self._L] = np.hypot(*span.T)
+        if self.model.cylinders:
+            axes = place(np.array([(c.start, c.end) for c in self.model.cylinders]))
+            length[self.limb:] = np.repeat(np.hypot(*(axes[:, 1] - axes[:, 0]).T), 2)
+        enough: np.ndarray = length >= self._min_length
         if self._has_min_area:
             a, b, c = np.moveaxis(xy[self.model.triangles], 1, 0)
             b, c = b - a, c - a
             area = np.bincount(self.model.triangle_face, 0.5 * np.abs(
                 b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]), len(self.model.faces))
             large = area >= [face.min_area_px2 for face in self.model.faces]
-            enough &= [not sides or large[list(sides)].any() for sides in self.model.line_faces]
+            enough[:self._L] &= [not sides or large[list(sides)].any()
+                                 for sides in self.model.line_faces]
         return enough
 
     def _inward(self, centre: np.ndarray, points: np.ndarray, keep: np.ndarray) -> np.ndarray:
