@@ -200,6 +200,12 @@ REMARKS: dict[str, Phrase] = {
         'A rolling shutter would explain the residuals. How fast the camera moved at each view '
         'does not follow from views so far apart.',
         'Give more images a second, or the whole video; or move slowly.'),
+    'object_moves_in_rows': Phrase(
+        'The object moved while each image was read, by {shift_px:.2g} px (root mean square): the '
+        '{lines} are read one after the other.',
+        'A rolling shutter bends what moves. The motion of every view is estimated, and the '
+        'sigmas allow for it.',
+        'Hold object and camera still for each image: the sigmas become smaller.'),
     'rows_by_view': Phrase(
         'Lines were read one after the other, and every view moved meanwhile in its own way, some '
         '{share:.1%} of its motion to the next view.',

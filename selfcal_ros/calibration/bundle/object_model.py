@@ -30,6 +30,8 @@ from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
+from selfcal_ros.calibration.bundle.object_rows import MovedPoints, ObjectRows
+from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -69,8 +71,9 @@ class _PoseElimination:
         """Nothing is supposed of the poses."""
         return 0.0, np.zeros(len(unknowns)), np.zeros(len(unknowns))
 
-    def couplings(self, unknowns: Unknowns) -> None:
+    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return None: nothing is supposed of the poses."""
+        return None
 
     def prior_count(self, views: int) -> int:
         """Nothing is supposed of the poses."""
@@ -91,29 +94,41 @@ class KnownPoints(_PoseElimination):
         In the object's frame.
     bend : Bend, optional
         How a board may bend; its points are held where they are without.
+    rows : ObjectRows, optional
+        How the object may move while each image is read; all lines are read at once without.
 
     """
 
     points: np.ndarray
     bend: Bend | None = None
+    rows: ObjectRows | None = None
 
     dimension = 2
 
     def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
-        """Lay out what remains once the poses are eliminated: the lens, and the bend."""
-        return Unknowns.all_free(lens_names, () if self.bend is None else BEND_NAMES)
+        """Lay out what remains once the poses are eliminated: lens, bend and motions."""
+        shared = () if self.bend is None else BEND_NAMES
+        if self.rows is None:
+            return Unknowns.all_free(lens_names, shared)
+        return self.rows.effects.extend(Unknowns.all_free(lens_names, shared, (), views))
 
     def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> ObjectState:
-        """Move a state by a step (n,) of the lens and the bend, and steps (V, 6) of the poses."""
+        """Move a state by a step (n,) of all but the poses, and steps (V, 6) of these."""
         state = super().moved(state, step, steps, unknowns)
+        if self.rows is not None:
+            state = replace(state, row_motion=self.rows.effects.moved(
+                state.row_motion, step, unknowns))
         if self.bend is None:
             return state
         return replace(state, bend=state.bend + step[unknowns.places(BEND_NAMES)])
 
     def prior_terms(self, state: ObjectState, unknowns: Unknowns) -> PriorTerms:
-        """Return cost, gradient (n,) and diagonal (n,) of what is supposed of the bend."""
-        cost, gradient, diagonal = super().prior_terms(state, unknowns)
+        """Return cost, gradient (n,) and diagonal (n,) of what is supposed beside the poses."""
+        cost, gradient, diagonal = terms = super().prior_terms(state, unknowns)
+        if self.rows is not None:
+            cost, gradient, diagonal = self.rows.effects.add_prior(
+                terms, state.row_motion, unknowns)
         if self.bend is None:
             return cost, gradient, diagonal
         place, weight = unknowns.places(BEND_NAMES), 1 / self.bend.sigma**2
@@ -121,28 +136,47 @@ class KnownPoints(_PoseElimination):
         diagonal[place] = weight
         return cost + 0.5 * weight * float(state.bend @ state.bend), gradient, diagonal
 
+    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return what motions about a common mean add beside the diagonal."""
+        return None if self.rows is None else self.rows.effects.couplings(unknowns)
+
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
-        return 0 if self.bend is None else len(BEND_NAMES)
+        return ((0 if self.bend is None else len(BEND_NAMES))
+                + (0 if self.rows is None else self.rows.effects.count(views)))
 
     def predict(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
         """Project every point; see `SceneModel.predict`."""
         points = self.points if self.bend is None else self.points + self.bend.off(state.bend)
         turned = state.path.turned(points, blocks.view)
-        X = turned + state.path.translations(blocks.view)
+        there = state.path.translations(blocks.view)
+        X = turned + there
         ahead, pixels = _look(state.lens, X, xy)
+        moved = None
+        if self.rows is not None:
+            motion = (np.zeros((len(state.path), len(ROW_NAMES))) if state.row_motion is None
+                      else state.row_motion)
+            moved = MovedPoints.of(turned, self.rows.delays(pixels.uv, xy), motion[blocks.view],
+                                   np.linalg.norm(there, axis=1))
+            ahead, pixels = _look(state.lens, moved.turned + there + moved.move, xy)
         residual = pixels.uv - xy
 
         def differentiated(unknowns: Unknowns) -> Linearisation:
+            # how a point's line moves with the rest is left out: it is some per cent of the motion
             J = pixels.by_points()
+            own, by_place = np.empty((len(xy), 2, 0)), J
+            if moved is not None:
+                own, by_place = moved.by_motion(J), moved.by_place(J, there)
+                J = J @ moved.R
             shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
             if self.bend is not None:
                 normal = state.path.cam_from_object[:, :, :3] @ self.bend.normal
                 along = np.einsum('nij,nj->ni', J, normal[blocks.view])
                 shared[:, :, unknowns.places(BEND_NAMES)] = (
                     along[:, :, None] * self.bend.modes[:, None])
-            return Linearisation(residual, ahead, shared, np.empty((len(xy), 2, 0)),
-                                 ObjectPoses.by_steps(J, turned))
+            by_steps = ObjectPoses.by_steps(J, turned)
+            by_steps[:, :, 3:] = by_place
+            return Linearisation(residual, ahead, shared, own, by_steps)
 
         return Prediction(residual, ahead, differentiated)
 

@@ -163,8 +163,16 @@ class ObjectState(BundleState):
     path : ObjectPoses
     bend : ndarray, shape (3,)
         Of a board that need not be flat; see `BEND_NAMES`.
+    row_motion : ndarray, shape (V, 6), optional
+        How the object moved while each image was read; see `ObjectRows`.
 
     """
 
     path: ObjectPoses
     bend: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    row_motion: np.ndarray | None = None
+
+    def of_views(self, kept: np.ndarray) -> ObjectState:
+        """Return the state of some of the views."""
+        return replace(self, path=self.path.of_views(kept),
+                       row_motion=None if self.row_motion is None else self.row_motion[kept])

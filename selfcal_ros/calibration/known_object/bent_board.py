@@ -20,7 +20,7 @@ residual tells: the lens takes up what it can. Tilted views from several sides d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
@@ -135,5 +135,4 @@ def may_bend(views: ObjectViews, points: np.ndarray, sigma: float) -> ObjectView
     if found is None or len(views.frames) < 2:
         return None
     modes, normal = found
-    return ObjectViews(views.frames, views.view, views.point, views.points, views.xy,
-                       views.linear, Bend(modes[views.point], normal, sigma))
+    return replace(views, bend=Bend(modes[views.point], normal, sigma))

@@ -23,6 +23,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.object_bend import Bend
 from selfcal_ros.calibration.bundle.object_model import KnownPoints
+from selfcal_ros.calibration.bundle.object_rows import ObjectRows
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_start import linear_view, LinearView
@@ -49,6 +50,8 @@ class ObjectViews:
     linear : list of LinearView
     bend : Bend, optional
         How the object may bend.
+    rows : ObjectRows, optional
+        How it may move while each image is read.
 
     """
 
@@ -59,11 +62,12 @@ class ObjectViews:
     xy: np.ndarray
     linear: list[LinearView]
     bend: Bend | None = None
+    rows: ObjectRows | None = None
 
     def bundle(self, priors: Priors, sigma_px: float) -> Bundle[ObjectState]:
         """Return the adjustment of these observations."""
-        return Bundle(KnownPoints(self.points, self.bend), self.view, self.view, self.xy,
-                      priors=priors, sigma_px=sigma_px)
+        return Bundle(KnownPoints(self.points, self.bend, self.rows), self.view, self.view,
+                      self.xy, priors=priors, sigma_px=sigma_px)
 
     def select(self, mask: np.ndarray) -> ObjectViews:
         """Keep the observations in mask, of views that keep at least four."""
@@ -71,7 +75,7 @@ class ObjectViews:
         kept, index = np.unique(self.view[mask], return_inverse=True)
         bend = self.bend and replace(self.bend, modes=self.bend.modes[mask])
         return ObjectViews(self.frames[kept], index, self.point[mask], self.points[mask],
-                           self.xy[mask], [self.linear[v] for v in kept], bend)
+                           self.xy[mask], [self.linear[v] for v in kept], bend, self.rows)
 
 
 def gathered_views(tracks: Tracks, target: KnownObject,

@@ -34,6 +34,8 @@ from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, start_lens, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.bent_board import BoardShape, may_bend, USUAL_FLATNESS
+from selfcal_ros.calibration.known_object.moving_board import (motion_findings, moving_fit,
+                                                               row_motion_of)
 from selfcal_ros.calibration.known_object.object_pose_precision import pose_precision
 from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, fisheye_state,
                                                                start_state, supposed_cameras)
@@ -93,7 +95,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     target : KnownObject
     facts : CameraFacts, optional
         What is known of the camera; nothing by default. Distortion 'auto': the richest model
-        that the data determine.
+        that the data determine. Shutter 'rolling': the object may move while an image is read.
     flatness : float, optional
         Standard deviation of the bend of a plane object, in its unit; 0 for an exactly flat one.
         By default the bend is estimated with hardly anything supposed of it.
@@ -164,7 +166,9 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if flatness != 0:
         bent = _bent_fit(views, fit, scaled.points,
                          USUAL_FLATNESS if flatness is None else flatness / extent, size)
-    used, bundle, state, chosen, judgement = fit if bent is None else bent
+    still = fit if bent is None else bent
+    moving = _moving_fit(views, still, scaled.points, size, facts)
+    used, bundle, state, chosen, judgement = still if moving is None else moving
     limit = MISFIT_FRACTION * float(np.hypot(*size))
     if all(view.mirrored and view.error_px < limit for view in views.linear):
         return NoEstimate('object_mirrored')
@@ -186,6 +190,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         shape = BoardShape.of(bundle, state, clusters, scaled.points, extent)
         points[:, :3] += shape.off
         findings += (shape.finding(),)
+    findings += motion_findings(bundle, state)
     rejected = len(views.view) - len(used.view)
     return Calibration(
         camera=state.camera(*size), covariance=covariance, status=status,
@@ -195,7 +200,8 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         noise_sigma_px=bundle.sigma_px, observation_count=len(used.view),
         outlier_count=rejected,
         reconstruction=Reconstruction(used.frames, poses, target.identity, points,
-                                      pose_precision=pose_precision(bundle, state, extent)),
+                                      pose_precision=pose_precision(bundle, state, extent),
+                                      row_motion=row_motion_of(bundle, state, extent)),
         findings=findings + clusters.findings(track='errors_at_object_points'),
         residuals=residuals)
 
@@ -246,6 +252,24 @@ class _Fitted(NamedTuple):
     state: ObjectState
     facts: CameraFacts
     judgement: _Judgement
+
+
+def _moving_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, size: tuple[int, int],
+                facts: CameraFacts) -> _Fitted | None:
+    """Return the fit with an object that moves while it is read; None where it held still."""
+    if facts.shutter != 'rolling' and facts.line_delay_s is None:
+        # what a lens or a print lacks looks like motion, too: it must be said that rows are read
+        return None
+    offered = views.select(np.isin(views.frames, fit.views.frames)[views.view])
+    bend = fit.views.bend
+    if bend is not None:
+        offered = may_bend(offered, points, bend.sigma) or offered
+    found = moving_fit(offered, (fit.views, fit.bundle, fit.state), size,
+                       lambda moving, state: _robust_fit(moving, state, fit.facts))
+    if found is None:
+        return None
+    judgement = _judge(*found, fit.facts, size)
+    return _Fitted(*found, fit.facts, judgement) if judgement.is_complete else None
 
 
 def _bent_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, sigma: float,
@@ -369,7 +393,7 @@ def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
         if not len(rest.view) or rest.bundle(priors, sigma).degrees_of_freedom < 1:
             return NoEstimate('no_fit_to_points')
         kept = np.isin(views.frames, rest.frames)
-        state = replace(state, path=state.path.of_views(kept))
+        state = state.of_views(kept)
         views, bundle = rest, rest.bundle(priors, sigma)
         state = bundle.optimise(state, tolerance=_OF_ROUNDS)
         sigma = bundle.noise_sigma(state)
