@@ -344,6 +344,8 @@ def finish_tracks(tracks: Tracks, findings: list[Finding], seed: int) -> Tracks:
 
 def _finished(tracks: Tracks, findings: list[Finding], seed: int) -> Verified:
     """As `finish_tracks`, with the geometry that was found."""
+    # what is dropped keeps its number, which another camera may have for the same point
+    fresh = int(tracks.track.max(initial=-1)) + 1
     whole, told = without_still(tracks)
     findings += told
     tracks, static = drop_static(whole)
@@ -351,7 +353,7 @@ def _finished(tracks: Tracks, findings: list[Finding], seed: int) -> Verified:
         findings.append(Finding('static_tracks', tracks=int(static)))
     tracks, regions = drop_static_regions(whole, tracks)
     findings += regions
-    verified = verify(tracks, seed=seed)
+    verified = verify(tracks, seed=seed, fresh=fresh)
     if verified.removed:
         findings.append(Finding('positions_contradictory', positions=int(verified.removed)))
     return verified

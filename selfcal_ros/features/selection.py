@@ -162,7 +162,7 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
 
 
 def verify(tracks: Tracks, gaps: Sequence[int] = (1, 2, 3, 4), threshold_px: float = 1.5,
-           least_views: int = 2, seed: int = 0) -> Verified:
+           least_views: int = 2, seed: int = 0, fresh: int = 0) -> Verified:
     """
     Remove what contradicts the epipolar geometry between frames.
 
@@ -182,6 +182,8 @@ def verify(tracks: Tracks, gaps: Sequence[int] = (1, 2, 3, 4), threshold_px: flo
         Shorter tracks are dropped.
     seed : int
         State of the sampler of F.
+    fresh : int
+        Numbers from here on are those of no track; beyond the largest by default.
 
     Returns
     -------
@@ -234,18 +236,18 @@ def verify(tracks: Tracks, gaps: Sequence[int] = (1, 2, 3, 4), threshold_px: flo
         cut[torn[:, 1]] = 1
         new = np.concatenate([[0], (np.diff(track) != 0).astype(int)])
         _, track = np.unique(np.cumsum(np.maximum(new, cut)), return_inverse=True)
-        track = _keep_names(tracks.track, track.ravel())
+        track = _keep_names(tracks.track, track.ravel(), fresh)
     beside = None if tracks.neighbours is None else tracks.neighbours[keep]
     tracks = Tracks(tracks.frame[keep], track[keep], tracks.xy[keep], size, tracks.stamps_ns,
                     beside)
     return Verified(tracks.with_at_least(least_views), removed, model, frames, sound)
 
 
-def _keep_names(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _keep_names(old: np.ndarray, new: np.ndarray, fresh: int) -> np.ndarray:
     """Give the first part of every track its old number, the parts cut off fresh ones."""
     _, first = np.unique(new, return_index=True)
     names = old[first].copy()
     repeated = np.concatenate([[False], names[1:] == names[:-1]])
-    names[repeated] = old.max() + 1 + np.arange(repeated.sum())
+    names[repeated] = max(int(old.max()) + 1, fresh) + np.arange(repeated.sum())
     kept: np.ndarray = names[new]
     return kept

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 import csv
 from dataclasses import dataclass, replace
+from functools import cached_property
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -215,6 +216,13 @@ class Tracks:
         point = np.unique(self.track, return_inverse=True)[1]
         return self.select(of_longest(view, point, per_view))
 
+    @cached_property
+    def _rows(self) -> dict[int, np.ndarray]:
+        """Which observations are of each frame: pairs of frames are asked for by thousands."""
+        order = np.argsort(self.frame, kind='stable')
+        frames, first = np.unique(self.frame[order], return_index=True)
+        return dict(zip(frames.tolist(), np.split(order, first[1:])))
+
     def matches(self, frame_a: int, frame_b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
         Return the points seen in both frames.
@@ -225,8 +233,8 @@ class Tracks:
         xy_a, xy_b : ndarray, shape (M, 2)
 
         """
-        in_a = np.flatnonzero(self.frame == frame_a)
-        in_b = np.flatnonzero(self.frame == frame_b)
+        none = np.zeros(0, int)
+        in_a, in_b = (self._rows.get(int(frame), none) for frame in (frame_a, frame_b))
         track, a, b = np.intersect1d(self.track[in_a], self.track[in_b], assume_unique=True,
                                      return_indices=True)
         return track, self.xy[in_a[a]], self.xy[in_b[b]]

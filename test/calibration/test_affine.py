@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
                                                                translated_pair)
-from selfcal_ros.calibration.affine.diac import constraint_rows, linear_conic, unit_determinant
+from selfcal_ros.calibration.affine.diac import (_members, constraint_rows, linear_conic,
+                                                 unit_determinant)
 from selfcal_ros.calibration.structure.metric_structure import distance_error
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -133,6 +134,26 @@ def test_too_few_matches_are_refused_with_the_number():
     tracks = _sequence(0, 2).tracks
     found = translated_pair(tracks.select(tracks.track < 5), (0, 1))
     assert found.kind == 'too_few' and found.values['found'] == 5
+
+
+@pytest.mark.parametrize('quadratic', [(1.0, -3.0, 2.0), (2.0, 3.0, 1.0), (0.0, 2.0, -3.0),
+                                       (3.0, -2.0, 0.0), (1e-14, 1.0, -1.0), (0.0, -1.0, 0.0)])
+def test_neither_end_of_a_family_is_lost(quadratic):
+    # with a = 0 the finite root was lost, and no matrix at all took its place
+    a, b, c = quadratic
+    first, second = np.diag([1.0, 0, 1]), np.diag([0, 1.0, 1])
+
+    def form(x, y):
+        # of x first + y second: a y^2 + b x y + c x^2
+        return a * x[1, 1] * y[1, 1] + b * x[0, 0] * y[1, 1] + c * x[0, 0] * y[0, 0]
+
+    found = [matrix for _, matrix in _members('any', first, second, form)]
+    assert len(found) == 2
+    for matrix in found:
+        x, y = matrix[0, 0], matrix[1, 1]
+        assert abs(a * y * y + b * x * y + c * x * x) < 1e-9 * max(x * x, y * y)
+    x, y = (np.array([matrix[k, k] for matrix in found]) for k in (0, 1))
+    assert abs(x[0] * y[1] - x[1] * y[0]) > 1e-9
 
 
 def test_linear_constraints_vanish_on_the_true_conic():

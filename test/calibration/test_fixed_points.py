@@ -20,6 +20,7 @@ from selfcal_ros.calibration.planar.fixed_points import (calibrate_estimate,
                                                          calibrate_from_fixed_points, fixed_points)
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.calibration.structure import upgrade
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry import projective, tensor_cameras, trifocal
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes
@@ -195,6 +196,10 @@ def test_frames_need_not_start_at_zero_nor_follow_each_other(rng):
     moved = type(tracks)(tracks.frame * 7 + 100, tracks.track * 3 - 5, tracks.xy)
     found = fixed_points(moved, triplets=[(100, 107, 114)])
     assert found.triplet_frames.tolist() == [[100, 107, 114]]
+    # the next one was taken for a frame that there is not
+    for absent in ([100, 106, 114], [100, 107, 10**6]):
+        with pytest.raises(ArgumentError, match='frame without tracks'):
+            fixed_points(moved, triplets=[absent])
     assert parallel(found.fixed.horizon, sequence.horizon) < 1e-8
 
 

@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.structure.metric_structure import (distance_error, metric_structure,
                                                                 pattern_error, plane_angle,
                                                                 to_affine, to_metric)
@@ -103,6 +104,20 @@ def test_what_a_point_is_known_to_is_true(driven):
     chi2 = np.einsum('pi,pij,pj->p', error, np.linalg.inv(structure.covariance), error)
     # chi-square with three degrees of freedom; its mean of some 80 spreads by 0.27
     assert np.mean(chi2) == pytest.approx(3, abs=0.9)
+
+
+def test_images_of_another_size_tell_as_much_as_their_noise(driven):
+    # half as large, with half the noise: sigmas were half as large, too
+    sequence, result, structure = driven
+    tracks, centre = sequence.tracks, result.camera.K[:2, 2]
+    views = np.asarray(result.reconstruction.frames)
+    course = FocalCourse(views, np.full(len(views), 0.5 * result.camera.K[0, 0]),
+                         np.zeros(len(views)))
+    small = metric_structure(
+        replace(result, focal=course, noise_sigma_px=0.5 * result.noise_sigma_px),
+        replace(tracks, xy=centre + 0.5 * (tracks.xy - centre)))
+    np.testing.assert_array_equal(small.tracks, structure.tracks)
+    np.testing.assert_allclose(small.covariance, structure.covariance, rtol=1e-6)
 
 
 def test_a_stricter_bound_keeps_fewer_points(driven):

@@ -50,6 +50,18 @@ def test_groups_are_found_through_distortion(k1):
         assert found.radial == (0.0, 0.0)
 
 
+def test_pairs_are_tested_in_parts_as_all_at_once(monkeypatch):
+    tracks = _room(2).tracks
+    whole, radial = classify_translations(tracks, SIZE)
+    monkeypatch.setattr('selfcal_ros.calibration.affine.translation_groups.AT_ONCE', 7)
+    parts, _ = classify_translations(tracks, SIZE, radial=radial)
+    assert len(whole.statistic) > 50
+    # those of a part are scaled alike, and stop together
+    np.testing.assert_allclose(parts.statistic, whole.statistic, rtol=1e-3, atol=0.05)
+    np.testing.assert_allclose(parts.limit, whole.limit, rtol=1e-3)
+    np.testing.assert_array_equal(parts.frames, whole.frames)
+
+
 def test_distortion_that_is_found_undoes_that_of_the_lens():
     sequence = _room(2, -0.2, noise_px=0.05)
     radial = translation_groups(sequence.tracks, SIZE).radial

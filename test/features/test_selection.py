@@ -96,9 +96,13 @@ def test_a_track_that_slips_to_another_point_is_cut(scene):
     xy = scene.xy.copy()
     late = scene.frame >= 4
     xy[late & (scene.track == victim)] = scene.xy[late & (scene.track == donor)] + [0.0, 0.05]
-    verified = verify(Tracks(scene.frame, scene.track, xy, scene.image_size)).tracks
+    whole = Tracks(scene.frame, scene.track, xy, scene.image_size)
+    verified = verify(whole).tracks
     kept = verified.frame[verified.track == victim]
     assert not ((kept < 4).any() and (kept >= 4).any())
+    # numbers that are taken, as by another camera's tracks, are left alone
+    beyond = verify(whole, fresh=5000).tracks.track
+    assert beyond.max() >= 5000 and set(beyond[beyond < 5000]) <= set(scene.track)
 
 
 def test_keyframes_follow_parallax_and_loss():

@@ -190,7 +190,7 @@ def _members(name: str, first: np.ndarray, second: np.ndarray,
     if not np.abs(quadratic).max() > 0:
         return []
     a, b, c = quadratic
-    root = np.sqrt(complex(b * b - 4 * a * c))
-    # both forms of the roots, so that neither end of the family is lost
-    shares = [(2 * a, (-b + root).real), (2 * a, (-b - root).real)]
-    return [(name, x * first + y * second) for x, y in shares]
+    # without a real root, where the form is least; neither end of the family is lost
+    q = -(b + np.copysign(np.sqrt(max(b * b - 4 * a * c, 0.0)), b)) / 2
+    shares = [(a, q), (q, c)][::-1 if b >= 0 else 1]
+    return [(name, x * first + y * second) for x, y in shares if x or y]

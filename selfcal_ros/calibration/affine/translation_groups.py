@@ -39,6 +39,8 @@ from selfcal_ros.values.tracks import Tracks
 
 #: So many matches of a pair, evenly chosen, take part.
 MAX_MATCHES = 150
+#: Pairs of views that are tested together: the derivatives of thousands would take gigabytes.
+AT_ONCE = 256
 #: A true translation is rejected as often as this.
 SIGNIFICANCE = 0.01
 #: What a robot calls a translation turns the camera by a little, and no lens is quite as its
@@ -157,6 +159,14 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLik
         none = np.zeros(0)
         return PairTests(pairs, none, none, none, none, np.zeros((0, 3))), (0.0, 0.0)
     radial = estimate_radial(tracks, size, pairs) if radial is None else radial
+    parts = [_tested(tracks, size, pairs[at:at + AT_ONCE], radial)
+             for at in range(0, len(pairs), AT_ONCE)]
+    return PairTests(pairs, *map(np.concatenate, zip(*parts))), radial
+
+
+def _tested(tracks: Tracks, size: tuple[int, int], pairs: np.ndarray,
+            radial: tuple[float, float]) -> tuple[np.ndarray, ...]:
+    """Return all but the frames of `PairTests`, of some pairs."""
     samples = [(undo_radial(a, radial, size), undo_radial(b, radial, size))
                for a, b in sampled_matches(tracks, pairs, MAX_MATCHES)]
     data, cost = general_geometry(PairMatches.from_pixels(samples))
@@ -172,7 +182,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLik
     motion = np.array([np.median(np.linalg.norm(b - a, axis=1)) for a, b in samples])
     epipole = np.stack([F[:, 2, 1], F[:, 0, 2], F[:, 1, 0]], axis=1)
     epipole /= np.linalg.norm(epipole, axis=1, keepdims=True)
-    return PairTests(pairs, statistic, limit, noise, motion, epipole), radial
+    return statistic, limit, noise, motion, epipole
 
 
 def translation_groups(tracks: Tracks, size: tuple[int, int],

@@ -15,8 +15,8 @@
 Did the object move while each image was read? A rolling shutter bends what moves.
 
 A board in a hand is turned by tenths of a degree from the first row to the last. So is one before
-an arm that does not stop. The lens and a bend of the board take up what they can of that. It is asked
-of cameras with a rolling shutter alone: what a lens or a print lacks looks much like it.
+an arm that does not stop. The lens and a bend of the board take up what they can of that. It is
+asked of cameras with a rolling shutter alone: what a lens or a print lacks looks much like it.
 """
 
 from __future__ import annotations

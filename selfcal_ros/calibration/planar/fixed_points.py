@@ -36,6 +36,7 @@ from selfcal_ros.calibration.planar.sound_pairs import matched_pairs, MatchedPai
 from selfcal_ros.calibration.planar.triplet_means import circular_point_influence, combine_triplets
 from selfcal_ros.calibration.planar.triplets import choose_triplets, dense_tracks
 from selfcal_ros.calibration.result import FixedPoints
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry import planar_batch, planar_pairs
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -139,6 +140,11 @@ def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: Meth
     -------
     FixedPointEstimate or NoEstimate
 
+    Raises
+    ------
+    ArgumentError
+        If a triplet names a frame that has no tracks.
+
     """
     frames, _, xy = dense_tracks(tracks)
     if len(frames) < 3:
@@ -147,7 +153,11 @@ def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: Meth
     if triplets is None:
         chosen = choose_triplets(xy, limit, least_common)
     else:
-        chosen = np.searchsorted(frames, np.asarray(triplets))
+        wanted = np.asarray(triplets)
+        chosen = np.minimum(np.searchsorted(frames, wanted), len(frames) - 1)
+        if not (frames[chosen] == wanted).all():
+            raise ArgumentError('A triplet names a frame without tracks; choose among '
+                                f'{frames[0]} to {frames[-1]}.')
     if not len(chosen):
         return NoEstimate('too_few_shared', views=3, needed=least_common, items='tracks')
     matched = matched_pairs(xy, chosen, most_matches, rng)

@@ -203,10 +203,11 @@ def _point_covariances(calibration: Calibration, tracks: Tracks, poses: np.ndarr
     X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
     # a homogeneous point far beyond the image may meet the fold of the distortion
     with np.errstate(invalid='ignore', over='ignore'):
-        miss = np.linalg.norm(camera.project(when_seen) - xy, axis=1)
+        # the noise is that of the images as they are, whatever the focal length of each
+        miss = scale[:, 0] * np.linalg.norm(camera.project(when_seen) - xy, axis=1)
         near = miss < OUTLIER_SIGMAS * max(calibration.noise_sigma_px, 1e-9)
-    view, point, X = view[near], point[near], X[near]
-    J = Projection(Lens.of(camera), X).by_points() @ poses[view, :, :3]
+    view, point, X, scale = view[near], point[near], X[near], scale[near]
+    J = scale[:, :, None] * (Projection(Lens.of(camera), X).by_points() @ poses[view, :, :3])
     information = np.zeros((len(points), 3, 3))
     np.add.at(information, point, np.swapaxes(J, 1, 2) @ J)
     views = np.bincount(point, minlength=len(points))
