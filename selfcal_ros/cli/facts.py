@@ -59,7 +59,7 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
         'known object they are found.')
     group.add_argument('--aspect-ratio', type=_number_or_free, metavar='FY/FX',
                        help='known ratio of the focal lengths, or "free" (default 1.0; free with '
-                       'a known object)')
+                       '--object)')
     group.add_argument('--aspect-ratio-sigma', type=float, default=0.0, metavar='S',
                        help='standard deviation of the aspect ratio (default 0: exact)')
     group.add_argument('--skew', type=_number_or_free, default=0.0, metavar='PX',

@@ -34,8 +34,8 @@ MOUNTING: dict[str, Phrase] = {
         'It is on another body, its axes are left-handed, or its clock is not that of the images.',
         'Check the topic of the gyro, its axes, and that it reports radians a second.'),
     'gyro_leaves_an_axis_open': Phrase(
-        'The camera turned about one axis only, so that it may be turned against the gyro about '
-        'that axis by any angle (± {sigma_deg:.2g}°).',
+        'The camera turned about one axis only: how it is turned against the gyro about that '
+        'axis is not known (± {sigma_deg:.2g}°).',
         'Turns about one axis look alike to a camera that is turned about that axis.',
         'Turn about a second axis, too.'),
     'gyro_tells_no_place': Phrase(

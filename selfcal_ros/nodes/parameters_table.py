@@ -14,8 +14,8 @@
 """
 Markdown tables of the nodes' topics, services and parameters.
 
-`python -m selfcal_ros.nodes.parameters_table` prints them all; with `--update README.md` it fills
-in what lies between `<!-- parameters:NODE -->` and `<!-- /parameters:NODE -->`, and between
+`python -m selfcal_ros.nodes.parameters_table` prints them all. With `--update docs/nodes.md` it
+fills in what lies between `<!-- parameters:NODE -->` and `<!-- /parameters:NODE -->`, and between
 `<!-- interface:NODE -->` and `<!-- /interface:NODE -->`.
 """
 

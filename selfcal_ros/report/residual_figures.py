@@ -84,8 +84,15 @@ def residual_figure(result: Calibration, seen: ObservationTable | None) -> Drawi
             caption = 'Residuals in both image coordinates.'
     caption += (' The bell is that of the middle of the residuals, without their tails. The image '
                 f'noise σ of {result.noise_sigma_px:.2g} px counts the tails. The reprojection '
-                f'rms of {result.reprojection_rms_px:.2g} px is of both coordinates together.')
+                f'rms of {result.reprojection_rms_px:.2g} px is '
+                + ('of the distances from edges.' if _is_of_edges(result)
+                   else 'of both coordinates together.'))
     return Drawing('residuals', 'Residuals', caption, tuple(map(figure_of, panels)))
+
+
+def _is_of_edges(result: Calibration) -> bool:
+    """Tell whether residuals are distances from edges: one number each."""
+    return result.residuals is not None and np.shape(result.residuals)[-1] == 1
 
 
 def _exceeds(residual: np.ndarray, result: Calibration) -> bool:
