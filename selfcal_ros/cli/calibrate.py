@@ -24,10 +24,10 @@ from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.force import (add_force_argument, check_outputs, check_suffix,
-                                   output_path, written_line)
+                                   written_line)
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
-from selfcal_ros.cli.parsing import add_seed_argument
+from selfcal_ros.cli.parsing import add_seed_argument, output_path
 from selfcal_ros.cli.rig import add_rig_arguments, run_rig
 from selfcal_ros.cli.robot_options import add_mount_outputs, add_robot_arguments, robot_from
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs

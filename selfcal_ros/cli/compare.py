@@ -21,8 +21,9 @@ from pathlib import Path
 import sys
 from typing import Any, TYPE_CHECKING
 
-from selfcal_ros.cli.force import check_outputs, output_path
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
+from selfcal_ros.cli.parsing import output_path
 from selfcal_ros.cli.status import EXIT_DIFFER, EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError

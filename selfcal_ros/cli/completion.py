@@ -25,6 +25,7 @@ from collections.abc import Iterable
 import os
 from pathlib import Path
 
+from selfcal_ros.cli.parsing import output_path
 from selfcal_ros.cli.status import EXIT_DONE
 
 SHELLS = ('bash', 'zsh', 'fish')
@@ -65,7 +66,7 @@ def answer(parser: argparse.ArgumentParser) -> None:
     for action in _actions(parser):
         if action.nargs == 0 or action.choices is not None:
             continue
-        is_file = action.type is Path or not action.option_strings
+        is_file = action.type in (Path, output_path) or not action.option_strings
         action.completer = FilesCompleter() if is_file else _nothing  # type: ignore[attr-defined]
     autocomplete(parser, always_complete_options=False, default_completer=SuppressCompleter())
 

@@ -26,8 +26,8 @@ import re
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import add_force_argument, check_outputs, output_path
-from selfcal_ros.cli.parsing import text, topic_name
+from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.parsing import output_path, text, topic_name
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument

@@ -27,7 +27,8 @@ import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from selfcal_ros.cli.force import add_force_argument, output_folder, output_path, written_line
+from selfcal_ros.cli.force import add_force_argument, output_folder, written_line
+from selfcal_ros.cli.parsing import output_path
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of

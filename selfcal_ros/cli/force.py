@@ -74,14 +74,6 @@ def check_outputs(precious: Iterable[str | os.PathLike[str] | None],
         _refuse_taken(kept, force)
 
 
-def output_path(text: str) -> Path:
-    """Take the name of an output for argparse; only --json prints to the standard output."""
-    if text == STANDARD_OUTPUT:
-        raise argparse.ArgumentTypeError(f'{STANDARD_OUTPUT!r} is for --json alone; name a file, '
-                                         f'or ./{STANDARD_OUTPUT} for one of that name')
-    return Path(text)
-
-
 def check_suffix(what: str, path: Path | None, kind: str, *suffixes: str) -> None:
     """Refuse a name that tells of another kind of file; one without a suffix tells of none."""
     if path is not None and path.suffix.lower() not in ('', *suffixes):

@@ -22,8 +22,9 @@ import sys
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
-from selfcal_ros.cli.force import check_outputs, output_folder, output_path
+from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
+from selfcal_ros.cli.parsing import output_path
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
 from selfcal_ros.errors import ArgumentError, InputError

@@ -19,8 +19,8 @@ import argparse
 from pathlib import Path
 import sys
 
-from selfcal_ros.cli.force import add_force_argument, check_outputs, output_path
-from selfcal_ros.cli.parsing import add_seed_argument
+from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.parsing import add_seed_argument, output_path
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 

@@ -21,6 +21,7 @@ from pathlib import Path
 import re
 from typing import Any, NoReturn
 
+from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
 from selfcal_ros.cli.status import EXIT_INPUT
 
 
@@ -92,6 +93,14 @@ def _path(value: str) -> Path:
     if not value:
         raise argparse.ArgumentTypeError("'' is no name of a file or folder")
     return Path(value)
+
+
+def output_path(value: str) -> Path:
+    """Take the name of an output; only --json prints to the standard output."""
+    if value == STANDARD_OUTPUT:
+        raise argparse.ArgumentTypeError(f'{STANDARD_OUTPUT!r} is for --json alone; name a file, '
+                                         f'or ./{STANDARD_OUTPUT} for one of that name')
+    return _path(value)
 
 
 class SentenceParser(argparse.ArgumentParser):

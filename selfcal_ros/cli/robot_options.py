@@ -18,8 +18,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from selfcal_ros.cli.force import output_path
-from selfcal_ros.cli.parsing import text
+from selfcal_ros.cli.parsing import output_path, text
 from selfcal_ros.errors import ArgumentError
 
 if TYPE_CHECKING:

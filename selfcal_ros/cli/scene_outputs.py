@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.facts import FREE
-from selfcal_ros.cli.force import check_suffix, make_folder, output_path
+from selfcal_ros.cli.force import check_suffix, make_folder
+from selfcal_ros.cli.parsing import output_path
 from selfcal_ros.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:

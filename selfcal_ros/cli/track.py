@@ -23,8 +23,8 @@ import sys
 from typing import TYPE_CHECKING
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import check_outputs, check_suffix, output_path, written_line
-from selfcal_ros.cli.parsing import add_seed_argument, start_pose
+from selfcal_ros.cli.force import check_outputs, check_suffix, written_line
+from selfcal_ros.cli.parsing import add_seed_argument, output_path, start_pose
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.cli.track_rig import (add_rig_arguments, check_single, overlays_of, rig_of,
