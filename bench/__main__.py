@@ -54,6 +54,7 @@ GROUPS = {
         'turntable': 'a fixed camera before a wall and a turntable, rendered and pasted',
         'arm': 'rendered and recorded arms, general motion against its bound',
         'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
+        'waved_boards': 'boards waved before a rolling shutter: sigmas true; OpenCV beside',
         'board_corners': 'corners of chessboards and of ChArUco boards in drawn images',
         'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
         'shutter': 'rolling shutter: simulated coverage, rendered videos at 30 Hz: hours',

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros import Camera, CameraFacts
+from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.object_model import KnownPoints
@@ -29,31 +29,14 @@ from selfcal_ros.calibration.known_object.point_calibration import calibrate_kno
 from selfcal_ros.features.targets import Chessboard
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.observations import observations
-from selfcal_ros.values.tracks import Tracks
+from selfcal_ros.synthetic.waved_boards import CAMERA, waved_board
 
-CAMERA = Camera([[520, 0, 325], [0, 520, 237], [0, 0, 1]], [-0.1, 0.05, 0, 0], 640, 480)
 BOARD = Chessboard(9, 6, 0.03).known
 ROLLING = CameraFacts(skew=0.0, shutter='rolling')
 
 
-def waved(seed, readout_s, views=20, noise_px=0.1):
-    """Wave a board by some 20 degrees and 10 cm a second before rows that are read in turn."""
-    rng = np.random.default_rng(seed)
-    X = BOARD.points - BOARD.points.mean(axis=0)
-    seen = []
-    while len(seen) < views:
-        R = rotation_matrix(rng.normal(0, [0.35, 0.35, 0.3]))
-        there = rng.uniform([-0.15, -0.1, 0.35], [0.15, 0.1, 0.7])
-        spin, speed = rng.normal(0, np.radians(20), 3), rng.normal(0, 0.1, 3)
-        xy = CAMERA.project(X @ R.T + there)
-        for _ in range(8):
-            after = readout_s * (xy[:, 1:] - 239.5) / 480
-            turned = np.einsum('nij,nj->ni', rotation_matrix(spin * after), X @ R.T)
-            xy = CAMERA.project(turned + there + speed * after)
-        if ((xy > 2) & (xy < [637, 477])).all():
-            seen.append(xy + rng.normal(0, noise_px, xy.shape))
-    return Tracks(np.repeat(np.arange(views), len(X)), np.tile(BOARD.identity, views),
-                  np.concatenate(seen), (640, 480))
+def waved(seed, readout_s):
+    return waved_board(np.random.default_rng(seed), BOARD, readout_s)
 
 
 def away(result):
