@@ -51,7 +51,8 @@ def waved_board(rng: np.random.Generator, board: KnownObject, readout_s: float,
     Tracks
 
     """
-    X, seen = board.points - board.points.mean(axis=0), []
+    X = board.points - board.points.mean(axis=0)
+    seen: list[np.ndarray] = []
     size = np.array([CAMERA.width, CAMERA.height])
     while len(seen) < views:
         turned = X @ rotation_matrix(rng.normal(0, _TILT_RAD)).T

@@ -90,6 +90,17 @@ def test_it_is_the_estimate_of_an_adjustment_that_knows_the_errors(fit, variance
     assert after == pytest.approx(np.sqrt(np.mean(bundle.residuals(best)**2)), rel=0.005)
 
 
+def test_a_covariance_of_all_weighed_down_alike_tells_as_much(fit):
+    """As beside a smooth field: images and lenses count less by one factor."""
+    covariance, _, _ = with_errors(fit, 4.0)
+    residual = fit.bundle.residuals(fit.state)
+    found = lens_posterior(fit, fit.state, covariance, residual)
+    alike = lens_posterior(fit, fit.state, 4.0 * fit.lens_covariance, residual, 4.0)
+
+    np.testing.assert_allclose(alike.covariance, found.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(alike.state.lens.values, found.state.lens.values, rtol=1e-9)
+
+
 def test_the_less_images_know_the_more_a_lens_is_like_others(fit):
     """No coefficient is ever less sure than what is known of it without images."""
     population = fit.bundle.priors.population

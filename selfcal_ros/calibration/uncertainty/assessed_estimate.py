@@ -141,7 +141,9 @@ def allow_for_uneven_ground(found: AssessedEstimate) -> AssessedEstimate:
 
 def apply_lens_posterior(found: AssessedEstimate) -> AssessedEstimate:
     """Weigh what lenses are like anew, now that the images' errors are known."""
-    posterior = lens_posterior(found.fit, found.state, found.covariance, found.residual)
+    # beside a field all that is known was worth less by what tracks share
+    share = 1.0 if found.misfit is None else found.clusters.ratios['track']**2
+    posterior = lens_posterior(found.fit, found.state, found.covariance, found.residual, share)
     return found if posterior is None else found.moved_to(posterior)
 
 

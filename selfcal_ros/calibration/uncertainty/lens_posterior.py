@@ -68,7 +68,7 @@ class LensPosterior:
 
 
 def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
-                   residual: np.ndarray) -> LensPosterior | None:
+                   residual: np.ndarray, prior_share: float = 1.0) -> LensPosterior | None:
     """
     Weigh what is known of a lens beforehand by what the images' errors are found to be.
 
@@ -82,6 +82,9 @@ def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
         Of the unknowns of the lens block, shared errors included.
     residual : ndarray, shape (N, 2)
         What that estimate leaves, deviations of the lens allowed for, pixels.
+    prior_share : float
+        How often the covariance holds what is known beforehand: more than once where both were
+        weighed down alike.
 
     Returns
     -------
@@ -99,7 +102,8 @@ def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
     try:
         step, after = _weighed_anew(fit.lens_covariance[square] / scale,
                                     fit.bundle.loss_factors(fit.linearisation)[0],
-                                    covariance[square] / scale, known[square] * scale,
+                                    covariance[square] / scale, prior_share,
+                                    known[square] * scale,
                                     pull[free] * sigma)
     except np.linalg.LinAlgError:
         # the images leave something of the camera open, which is told elsewhere
@@ -112,8 +116,9 @@ def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
     return found and LensPosterior(found[0], widened, found[1])
 
 
-def _weighed_anew(independent: np.ndarray, factor: float, covariance: np.ndarray, P: np.ndarray,
-                  pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weighed_anew(independent: np.ndarray, factor: float, covariance: np.ndarray,
+                  prior_share: float, P: np.ndarray, pull: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """
     Put the images and what is known beforehand together anew.
 
@@ -124,6 +129,8 @@ def _weighed_anew(independent: np.ndarray, factor: float, covariance: np.ndarray
     factor : float
     covariance : ndarray, shape (k, k)
         The same with all errors.
+    prior_share : float
+        See `lens_posterior`.
     P : ndarray, shape (k, k)
         Information that was known beforehand.
     pull : ndarray, shape (k,)
@@ -139,7 +146,7 @@ def _weighed_anew(independent: np.ndarray, factor: float, covariance: np.ndarray
     H = _at_least(factor * np.linalg.pinv(independent, hermitian=True) - P, 0.0)
     C = np.linalg.inv(_at_least(H + P, LEAST_VARIANCE))
     # D = H⁻¹ C⁻¹ of_images C⁻¹ H⁻¹, without an inverse of H
-    of_images = _at_least(covariance - factor * C @ P @ C, LEAST_VARIANCE)
+    of_images = _at_least(covariance - prior_share * factor * C @ P @ C, LEAST_VARIANCE)
     through = C @ H
     of_told = np.linalg.solve(of_images, through)
     after = np.linalg.inv(through.T @ of_told + P)
