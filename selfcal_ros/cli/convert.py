@@ -149,8 +149,15 @@ def _convert_camera(args: argparse.Namespace) -> int:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
     name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
-    write_camera(args.output, kind, found.camera, name, args.topic or found.topic,
-                 replace=args.force)
+    if kind == source_kind == 'ros':
+        # with R and P, as of a stereo pair, and what the file says of itself
+        from selfcal_ros.report.copied_camera_yaml import (comments_of, read_copied_camera,
+                                                           write_copied_camera)
+        write_copied_camera(args.output, read_copied_camera(args.input)[0], name,
+                            comments_of(args.input), replace=args.force)
+    else:
+        write_camera(args.output, kind, found.camera, name, args.topic or found.topic,
+                     replace=args.force)
     if not args.quiet:
         print(f'{found.name} of {args.input} written to {args.output} for {FORMATS[kind].title}.')
         if kind == 'colmap' or source_kind == 'colmap':

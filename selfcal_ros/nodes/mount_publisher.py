@@ -32,6 +32,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.report.mounts.record import shown_sigma
@@ -123,9 +124,7 @@ def _differs(mount: Mount, other: Mount) -> bool:
     """Tell whether a mount leaves the sigmas of another."""
     sigma = other.covariance[:6, :6]
     turned = mount.T_body_camera[:3, :3] @ other.T_body_camera[:3, :3].T
-    # a small turn, to first order
-    turn = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0],
-                     turned[1, 0] - turned[0, 1]]) / 2
+    turn = rotation_vector(turned)
     moved = mount.T_body_camera[:3, 3] - other.T_body_camera[:3, 3]
     apart = np.abs(np.concatenate([moved, turn]))
     return bool((apart > NEWS_SIGMAS * np.sqrt(np.diag(sigma)) + 1e-9).any())

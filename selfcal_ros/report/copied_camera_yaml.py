@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import takewhile
 from pathlib import Path
 
 from msg_adapters.copied_camera import CopiedCamera
@@ -65,8 +66,15 @@ def read_copied_camera(path: str | Path) -> tuple[CopiedCamera, str]:
     return camera, str(document.get('camera_name') or 'unknown')
 
 
+def comments_of(path: str | Path) -> list[str]:
+    """Return the lines of comment that a camera file of ROS begins with, without their mark."""
+    lines = takewhile(lambda line: line.startswith('#'),
+                      decoded(read_bytes(path), path).splitlines())
+    return [line.lstrip('#').strip() for line in lines]
+
+
 def write_copied_camera(path: str | Path, camera: CopiedCamera, name: str,
-                        comments: Iterable[str] = ()) -> Path:
+                        comments: Iterable[str] = (), replace: bool = True) -> Path:
     """
     Write a camera file of ROS; it appears whole or not at all.
 
@@ -82,4 +90,4 @@ def write_copied_camera(path: str | Path, camera: CopiedCamera, name: str,
         raise InputError(f'{path} is named as a file of OpenCV, and what is served is written for '
                          'ROS; let camera_info_url end in .yaml.')
     return atomic_write(path, ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
-                                       camera.d, camera.R, camera.P, comments))
+                                       camera.d, camera.R, camera.P, comments), replace)

@@ -16,7 +16,7 @@ A rig of cameras as other programs want it: stereo camera files, a Kalibr chain,
 
 The stereo convention is that of `stereo_image_proc` and of OpenCV: R turns each camera to a common
 rectified frame whose x axis runs from the left camera to the right one. Both P share f, cx and cy.
-P of the right camera has -f b in its last column (metres).
+P of the right camera has -f b in its last column (metres), whichever was named first.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def rectification(rig: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray
     """
     Return R (3, 3) and P (3, 4) of both cameras of a stereo pair.
 
-    None where the cameras are not two, look different ways, or sit one before the other.
+    None where the cameras are not two, look different ways, or do not sit side by side.
     Without a stated length the baseline is not known in metres, and P says nothing of it.
     """
     names = list(rig.cameras)
@@ -53,9 +53,11 @@ def rectification(rig: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray
         return None
     T = rig.poses[names[1]].T_rig_camera
     ahead = T[:3, 2] + [0, 0, 1]
-    if T[2, 2] < np.cos(WIDEST_STEREO_RAD) or abs(T[2, 3]) > abs(T[0, 3]):
+    # one above the other is another convention, which ROS's stereo nodes do not take
+    if T[2, 2] < np.cos(WIDEST_STEREO_RAD) or not abs(T[0, 3]) > np.abs(T[1:3, 3]).max():
         return None
-    along = T[:3, 3] / np.linalg.norm(T[:3, 3]) * np.sign(T[0, 3])
+    baseline, is_right = float(np.linalg.norm(T[:3, 3])), T[0, 3] > 0
+    along = T[:3, 3] / baseline * (1 if is_right else -1)
     down = np.cross(ahead / np.linalg.norm(ahead), along)
     down /= np.linalg.norm(down)
     R = np.stack([along, down, np.cross(along, down)])
@@ -72,8 +74,8 @@ def rectification(rig: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray
     found = {}
     for name in names:
         P = np.array([[f, 0, cx, 0], [0, f, cy, 0], [0, 0, 1, 0]])
-        if name == names[1] and rig.unit == 'm':
-            P[0, 3] = -f * float(along @ T[:3, 3])
+        if name == names[int(is_right)] and rig.unit == 'm':
+            P[0, 3] = -f * baseline
         found[name] = turns[name], P
     return found
 
@@ -89,6 +91,8 @@ def rig_camera_yaml(rig: RigCalibration, name: str, source: str = '') -> str:
                 f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
                 f'one of {len(rig.cameras)} cameras that were calibrated together: '
                 f'{", ".join(rig.cameras)}']
+    if stereo is None and len(rig.cameras) == 2:
+        comments.append('The cameras do not sit side by side: R and P are those of one alone.')
     if stereo is not None and rig.unit != 'm':
         comments.append('The baseline is not known in metres: state it (--baseline), and the '
                         'projection matrix has it.')

@@ -17,12 +17,15 @@ import json
 from pathlib import Path
 import shutil
 
+from msg_adapters.copied_camera import CopiedCamera
 import numpy as np
 import pytest
 from selfcal_ros import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.report.comparison import compare_cameras
+from selfcal_ros.report.copied_camera_yaml import read_copied_camera, write_copied_camera
 from test_support.command_line import selfcal, SIZE
 
 
@@ -168,6 +171,22 @@ def test_an_image_folder_becomes_a_bag(capsys):
     for path in ('jpegs', folder):
         assert selfcal('convert', path, 'raw', '--topic', '/rear/compressed') == 2
         assert '/rear/compressed is a name of compressed images' in capsys.readouterr().err
+
+
+def test_a_camera_of_a_stereo_pair_keeps_its_r_and_p_under_another_name(capsys):
+    R = rotation_matrix(np.array([0.01, -0.02, 0.03]))
+    K, P = np.diag([500.0, 505, 1]), np.array([[500, 0, 332.5, -60], [0, 500, 240, 0],
+                                               [0, 0, 1, 0.0]])
+    K[:2, 2] = 320, 240
+    pair = CopiedCamera(640, 480, 'plumb_bob', np.array([-0.1, 0.02, 0, 0, 0]), K, R, P)
+    write_copied_camera('right.yaml', pair, 'right', ['uncertainty: of a test'])
+    assert selfcal('convert', 'right.yaml', 'renamed.yaml', '--to', 'ros', '--camera-name',
+                   'front_right') == 0
+    found, name = read_copied_camera('renamed.yaml')
+    assert name == 'front_right'
+    np.testing.assert_allclose(found.R, R)
+    np.testing.assert_array_equal(found.P, P)
+    assert Path('renamed.yaml').read_text('utf-8').startswith('# uncertainty: of a test\n')
 
 
 def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):

@@ -13,6 +13,7 @@
 # limitations under the License.
 """`selfcal calibrate --cameras`: files of a stereo pair, and what is wrong in words."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,9 +36,10 @@ from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSet
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs, RigInput
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
+from selfcal_ros.report.camera_files.rig_reading import read_rig
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
-from selfcal_ros.report.rig_files import why_no_camchain
+from selfcal_ros.report.rig_files import rectification, why_no_camchain
 from selfcal_ros.synthetic.recordings import agv_drive
 from selfcal_ros.synthetic.rig_scenes import hand_path, rig_scene
 import yaml
@@ -123,6 +125,20 @@ def test_the_chain_of_kalibr_has_the_pose_between_the_cameras(calibrated):
     T = np.array(content['rig']['right']['T_rig_camera'])
     assert np.allclose(document['cam1']['T_cn_cnm1'], np.linalg.inv(T))
     assert document['cam1']['rostopic'] == '/right/image_raw'
+
+
+def test_a_chain_that_was_sorted_by_letters_keeps_its_places(tmp_path):
+    # cam10 stands before cam2 there, and was placed beside cam1
+    step = np.eye(4)
+    step[0, 3] = -0.1
+    chain = {f'cam{k}': {'camera_model': 'pinhole', 'distortion_model': 'radtan',
+                         'distortion_coeffs': [0, 0, 0, 0], 'intrinsics': [500, 500, 320, 240],
+                         'resolution': [640, 480], **({'T_cn_cnm1': step.tolist()} if k else {})}
+             for k in range(12)}
+    path = tmp_path / 'camchain.yaml'
+    path.write_text(yaml.safe_dump(chain), 'utf-8')
+    for one in read_rig(path):
+        assert one.T_rig_camera[0, 3] == pytest.approx(0.1 * int(one.name[3:]))
 
 
 def test_why_there_is_no_chain_of_kalibr_is_told():
@@ -337,6 +353,20 @@ def test_two_views_in_one_image_are_calibrated_together(tmp_path):
     assert 'images_halved' in [one.kind for one in found.findings]
     pose = found.poses['right'].T_rig_camera
     assert np.abs(pose[:3, 3] - [0.12, 0, 0]).max() < 0.001
+    # whichever was named first, P of the right one has the baseline; one above is no such pair
+    for place, right in (([0.12, 0.002, -0.003], 'right'), ([-0.12, 0.002, -0.003], 'left'),
+                         ([0.001, 0.12, 0.0005], None), ([0, 0.12, 0], None),
+                         ([0.1, 0.01, 0.2], None)):
+        T = np.eye(4)
+        T[:3, 3] = place
+        moved = {**found.poses, 'right': replace(found.poses['right'], T_rig_camera=T)}
+        pair = rectification(replace(found, poses=moved))
+        if right is None:
+            assert pair is None
+            continue
+        assert [name for name, (_, P) in pair.items() if P[0, 3]] == [right]
+        P = pair[right][1]
+        assert P[0, 3] == pytest.approx(-P[0, 0] * np.linalg.norm(place))
     for name in ('left', 'right'):
         camera, sigma = found.cameras[name].camera, found.cameras[name].sigma
         assert (camera.width, camera.height) == (320, 240)

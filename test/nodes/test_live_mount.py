@@ -13,6 +13,7 @@
 # limitations under the License.
 """A calibrator that hears the robot, too: where the camera sits, live, with poses that lie."""
 
+from dataclasses import replace
 from importlib.util import find_spec
 import json
 
@@ -272,3 +273,9 @@ def test_a_mount_goes_to_tf_once_and_again_only_where_it_is_news(monkeypatch):
     assert sent.transforms[0].child_frame_id == 'eye' and len(node.sent['~/mount']) == 1
     publisher.take(a_mount(0.35))
     assert len(node.sent['/tf_static']) == len(node.sent['~/mount']) == 2
+    # half a turn has the sine of none
+    upside_down = a_mount(0.35)
+    pose = upside_down.T_body_camera.copy()
+    pose[:3, :3] = np.diag([1.0, -1, -1]) @ pose[:3, :3]
+    publisher.take(replace(upside_down, T_body_camera=pose))
+    assert len(node.sent['/tf_static']) == 3

@@ -170,6 +170,26 @@ def test_a_transform_comes_back_from_every_file(tmp_path, kind, name, pitch):
         compile(path.read_text(encoding='utf-8'), str(path), 'exec')
 
 
+def test_two_transforms_of_a_launch_file_are_not_mixed(tmp_path):
+    stored = stored_mount(mount(), 'camera_optical_frame')
+    path = write_transform(tmp_path / 'camera.launch.py', stored)
+    text = path.read_text('utf-8')
+    laser = ("Node(package='tf2_ros', arguments=['--z', '0.9', '--frame-id', 'base_link', "
+             "'--child-frame-id', 'laser']),\n")
+
+    def with_laser(text):
+        begin = text.index('Node(')
+        beside = tmp_path / 'two.launch.py'
+        beside.write_text(text[:begin] + laser + text[begin:], 'utf-8')
+        return beside
+
+    _, back = read_transform(with_laser(text))
+    assert (back.parent, back.child) == ('base_link', 'camera_optical_frame')
+    assert np.allclose(back.matrix, stored.matrix, atol=1e-9)
+    with pytest.raises(InputError, match='2 static transforms, 0 of them to an optical frame'):
+        read_transform(with_laser(text.replace('camera_optical_frame', 'camera')))
+
+
 @pytest.mark.parametrize('name', ['b.urdf', 'b.yaml', 'b.launch.py', 'b.calib'])
 def test_what_a_file_says_of_itself_stays_through_others(tmp_path, name):
     about = ('selfcal_ros 1: a "bag" & 90 images', 'one sigma: x 0.001 m')
@@ -231,6 +251,11 @@ def test_mounts_are_compared_in_millimetres_degrees_and_sigmas():
     assert rows['z'] == ['+0.000', 'mm', '5.66', 'mm', '0.0']
     assert rows['about z'] == ['+0.500', '°', '0.0081', '°', '61.7']
     assert '-0.0' not in '\n'.join(same.sentences())
+    # of other bodies the numbers say nothing
+    tool = compare_mounts(PlacedCamera.of(mount()), replace(PlacedCamera.of(mount()),
+                                                            frame='tool0'))
+    assert 'A is told in base_link and B in tool0' in '\n'.join(tool.sentences())
+    assert not same.bodies
 
 
 def test_files_are_converted_and_compared_on_the_command_line(calibration, tmp_path, capsys):

@@ -25,11 +25,13 @@ from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.structure.camera_path import camera_path
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.ply import camera_frusta
 from selfcal_ros.report.scene_files.colmap_model import check_colmap_folder, write_colmap
 from selfcal_ros.report.scene_files.exported_scene import exported_scene
-from selfcal_ros.report.scene_files.keyframe_files import KeyframeFiles
+from selfcal_ros.report.scene_files.keyframe_files import KeyframeFiles, read_keyframes
 from selfcal_ros.report.scene_files.pose_files import (COLUMNS, format_of, SUFFIXES, write_poses)
 from selfcal_ros.report.scene_files.transforms_json import write_transforms
 from selfcal_ros.values.tracks import Tracks
@@ -273,3 +275,18 @@ def test_images_are_named_from_where_the_file_lies(tmp_path):
     assert own.relative_to(tmp_path) == ['images/frame_000007.png']
     there = KeyframeFiles(('a b.jpg',), tmp_path / 'shots', None)
     assert there.relative_to(tmp_path / 'out') == ['../shots/a b.jpg']
+
+
+def test_halves_of_images_are_files_of_their_own(tmp_path):
+    # the whole images were named, for cameras of half their size
+    rng = np.random.default_rng(0)
+    whole = [rng.integers(0, 256, (48, 128), np.uint8) for _ in range(2)]
+    (tmp_path / 'pairs').mkdir()
+    for k, image in enumerate(whole):
+        cv2.imwrite(str(tmp_path / 'pairs' / f'{k}.png'), image)
+    tracks = Tracks([0, 1], [0, 0], [[5, 5], [6, 5]], (64, 48))
+    with open_source(tmp_path / 'pairs', excerpt=Excerpt(half='right')) as source:
+        found = read_keyframes(source, np.arange(2), tracks, np.arange(1), [tmp_path / 'images'])
+    for k, name in enumerate(found.names):
+        written = cv2.imread(str(tmp_path / 'images' / name), cv2.IMREAD_GRAYSCALE)
+        np.testing.assert_array_equal(written, whole[k][:, 64:])

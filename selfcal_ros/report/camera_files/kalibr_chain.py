@@ -21,6 +21,7 @@ corners with OpenCV and shares its pixel convention.
 from __future__ import annotations
 
 from collections.abc import Iterable
+import re
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,9 @@ def parse_kalibr(document: dict[str, Any], source: str) -> list[StoredCamera]:
     chain = {'cam0': document} if 'intrinsics' in document else {
         str(name): entry for name, entry in document.items()
         if isinstance(entry, dict) and 'intrinsics' in entry}
-    return [_camera(entry, name, f'{source}, {name}') for name, entry in chain.items()]
+    # YAML that was sorted has cam10 before cam2, and each is placed beside the one before
+    names = sorted(chain, key=lambda name: [int(number) for number in re.findall(r'\d+', name)])
+    return [_camera(chain[name], name, f'{source}, {name}') for name in names]
 
 
 def _camera(entry: dict[str, Any], name: str, source: str) -> StoredCamera:

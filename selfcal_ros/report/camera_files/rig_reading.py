@@ -127,9 +127,9 @@ def _of_result(stored: dict[str, Any], source: str) -> list[tuple[PlacedCamera, 
 def _of_chain(document: dict[str, Any], source: str) -> list[tuple[PlacedCamera, str]]:
     """Read a chain of Kalibr: T_cn_cnm1 takes points of the camera before to this one."""
     place, found = np.eye(4), []
-    for k, (stored, entry) in enumerate(zip(parse_kalibr(document, source), (
-            entry for entry in document.values() if isinstance(entry, dict)))):
+    for k, stored in enumerate(parse_kalibr(document, source)):
         if k:
+            entry = document[stored.name]
             if 'T_cn_cnm1' not in entry:
                 raise InputError(f'{source}: {stored.name} lacks T_cn_cnm1, the transform from '
                                  'the camera before.')

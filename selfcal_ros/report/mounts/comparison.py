@@ -89,6 +89,8 @@ class MountComparison:
         The whole difference in sigmas; None without covariances.
     left_open : dict of str to str
         In which of both each degree of freedom is open: 'A', 'B' or 'A and B'.
+    bodies : tuple of str
+        The frames that both are told in, where these have different names.
 
     """
 
@@ -98,6 +100,7 @@ class MountComparison:
     angle_rad: float
     joint_sigmas: float | None
     left_open: dict[str, str] = field(default_factory=dict)
+    bodies: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
         """Say it for a person."""
@@ -109,7 +112,9 @@ class MountComparison:
                       f'{abs(value) / sigma:>7.1f}')
             lines.append(f'{SMALL_TURNS.get(name, name):>7} {factor * value:>+z10.3f} '
                          f'{unit:2}{judged}'.rstrip())
-        return [*lines, self.verdict, *self._not_in_full()]
+        told = [f'A is told in {self.bodies[0]} and B in {self.bodies[1]}: that means something '
+                'only if these are one frame.'] if self.bodies else []
+        return [*lines, self.verdict, *told, *self._not_in_full()]
 
     @property
     def verdict(self) -> str:
@@ -181,7 +186,8 @@ def compare_mounts(a: PlacedCamera, b: PlacedCamera) -> MountComparison:
         float(np.linalg.norm(values[3:])) if whole >= set(TURN) else np.nan, joint,
         {name: ' and '.join(letter for letter, one in (('A', a), ('B', b))
                             if name not in one.known)
-         for name in POSE if not (name in a.known and name in b.known)})
+         for name in POSE if not (name in a.known and name in b.known)},
+        (a.frame, b.frame) if a.frame and b.frame and a.frame != b.frame else ())
 
 
 def placed_camera(path: str | Path, which: str | None = None) -> PlacedCamera | None:

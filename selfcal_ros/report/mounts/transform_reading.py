@@ -131,8 +131,18 @@ def _leading_comment(text: str) -> tuple[str, ...]:
 def _from_launch(text: str) -> StoredTransform:
     """Take the arguments of static_transform_publisher out of a launch file."""
     code = re.sub(r'#[^\n]*', '', text)
-    words = re.findall(r'["\'](--[a-z-]+)["\'],\s*["\']([^"\']*)["\']', code)
-    named = {name[2:]: value for name, value in words}
+    # each transform is a node, with arguments of its own
+    groups = [{name[2:]: value for name, value in re.findall(
+        r'["\'](--[a-z-]+)["\'],\s*["\']([^"\']*)["\']', part)}
+        for part in re.split(r'\barguments\s*=', code)]
+    groups = [one for one in groups if 'child-frame-id' in one]
+    optical = [one for one in groups if re.search(r'_optical(_frame)?$',
+                                                  one.get('child-frame-id', ''))]
+    chosen = groups if len(groups) == 1 else optical
+    if len(chosen) != 1:
+        raise InputError(f'The launch file has {len(groups)} static transforms, {len(optical)} of '
+                         'them to an optical frame; one is needed.')
+    named = chosen[0]
     place = [float(named.get(name, 0)) for name in 'xyz']
     if 'qw' in named:
         turn = [float(named[name]) for name in ('qx', 'qy', 'qz', 'qw')]

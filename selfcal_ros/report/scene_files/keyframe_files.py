@@ -102,7 +102,8 @@ def read_keyframes(source: FrameSource, views: np.ndarray, tracks: Tracks, point
     if source.kind == 'tracks':
         return KeyframeFiles(tuple(frame_name(int(one)) for one in views), None, None)
     names: dict[int, str] = {}
-    are_files = source.kind == 'images'
+    # half an image is in no file yet
+    are_files = source.kind == 'images' and source.excerpt.half is None
     if not are_files:
         for folder in folders:
             _make(folder)
