@@ -26,13 +26,15 @@ from launch.actions import (DeclareLaunchArgument, GroupAction, IncludeLaunchDes
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
-from selfcal_ros.nodes.launch_arguments import shared_file_problem
+from selfcal_ros.nodes.launch_arguments import shared_file_problem, shared_topic_problem
 
 
 def include_each(context):
     """Include agv.launch.py once for each name."""
     names = LaunchConfiguration('cameras').perform(context).replace(',', ' ').split()
-    problem = shared_file_problem(names, context.launch_configurations.get('output', ''))
+    given = context.launch_configurations
+    problem = (shared_file_problem(names, given.get('output', ''))
+               or shared_topic_problem(names, given))
     if problem:
         raise RuntimeError(problem)
     path = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'launch', 'agv.launch.py'])

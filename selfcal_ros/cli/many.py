@@ -150,7 +150,13 @@ class _RecordingFiles:
         stems = [path.stem for path in paths]
         self._numbers = {str(path): stems[:k + 1].count(path.stem) for k, path in enumerate(paths)}
         self._names: set[str] = set()
-        self.count = 0
+        # of what was written already: a recording may be asked again
+        self._written: dict[tuple[str, str], str] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of results."""
+        return len(self._written)
 
     def write(self, outcome: Outcome) -> None:
         """Write camera file, result and poses, each whole or not at all."""
@@ -159,11 +165,13 @@ class _RecordingFiles:
         from selfcal_ros.report.result_json import write_result_json
         if outcome.result is None:
             return
-        self.count += 1
-        # of the same name in other folders: by the order of the inputs, whichever is ready first
-        number = self._numbers.get(outcome.path, 1)
-        stem = Path(outcome.path).stem + (f' {number}' if number > 1 else '')
-        name = _free_name(_plain_name(f'{stem} {outcome.topic}'), self._names)
+        key = outcome.path, outcome.topic
+        if key not in self._written:
+            # of one name in several folders: by the order of inputs, whichever is ready first
+            number = self._numbers.get(outcome.path, 1)
+            stem = Path(outcome.path).stem + (f' {number}' if number > 1 else '')
+            self._written[key] = _free_name(_plain_name(f'{stem} {outcome.topic}'), self._names)
+        name = self._written[key]
         write_result_json(self._folder / f'{name}.json', outcome.result, self._seed)
         if not outcome.result:
             return

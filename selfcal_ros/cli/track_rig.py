@@ -148,10 +148,11 @@ def track_rig_recordings(inputs: Sequence[RigInput], cameras: Sequence[PlacedCam
         for table, one in zip(tables, found):
             table.add(first, one.tracked)
 
+    part = excerpt or Excerpt()
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(
             one.path, one.topic, colour=bool(overlays),
-            excerpt=replace(excerpt or Excerpt(), half=one.half))) for one in inputs]
+            excerpt=replace(part, half=one.half or part.half))) for one in inputs]
         listeners = [add, *listeners]
         for which, (overlay, source) in enumerate(zip(overlays, sources)):
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))

@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from selfcal_ros.nodes.given_paths import given_path
-from selfcal_ros.nodes.launch_arguments import launch_problem, shared_topic_problem
+from selfcal_ros.nodes.launch_arguments import launch_problem
 
 if TYPE_CHECKING:
     from launch.action import Action
@@ -45,9 +45,7 @@ def look_at_arguments(names: Iterable[str]) -> Action:
             # launch itself passes over a file whose path begins with ~
             given['params_file'] = given_path(given['params_file'])
         values = {name: LaunchConfiguration(name).perform(context) for name in names}
-        # there where cameras.launch.py includes the file
-        cameras = given.get('cameras', '').replace(',', ' ').split()
-        problem = launch_problem(values) or shared_topic_problem(cameras, values)
+        problem = launch_problem(values)
         if problem:
             raise RuntimeError(problem)
     return OpaqueFunction(function=check)

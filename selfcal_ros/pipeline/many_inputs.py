@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 _LOGGER = logging.getLogger(__name__)
 #: Files that are recordings when they lie in a folder of recordings.
 _RECORDINGS = (*BAG_SUFFIXES, *VIDEO_SUFFIXES, '.csv')
+#: Beside each film or table there may be so many pictures about it.
+MOST_PICTURES = 3
 
 
 @dataclass(frozen=True)
@@ -211,8 +213,8 @@ def _recordings_inside(path: Path) -> list[Path]:
         bags = [entry for entry in files if entry.suffix.lower() in BAG_SUFFIXES]
         bags += [entry for entry in entries if _is_bag_folder(entry)]
         images = [entry for entry in entries if _is_single_image(entry)]
-        if not bags and len(images) > len(files):
-            # a table or a film beside images is about them; pictures of films are as many as those
+        if not bags and len(images) > MOST_PICTURES * len(files):
+            # a table or a film beside so many images is about them
             return []
         files = bags + [entry for entry in files if entry not in bags]
         # a rosbag2 folder, or the remains of one that lost its metadata
@@ -292,7 +294,7 @@ def calibrate_many(paths: Sequence[str | Path], settings: CalibrationSettings, *
     paths : list of str or Path
     settings : CalibrationSettings
     each : callable, optional
-        Called with every outcome as it comes.
+        Called with every outcome as it comes, and again with one that another lens replaces.
     progress : callable, optional
         Called as progress(text, done, total).
     **engine
@@ -328,7 +330,7 @@ def calibrate_many(paths: Sequence[str | Path], settings: CalibrationSettings, *
     for outcome in outcomes:
         if outcome.image_size:
             groups.setdefault(outcome.camera_key, []).append(outcome)
-    cameras = tuple(_summarise(group, settings, engine, progress, findable)
+    cameras = tuple(_summarise(group, settings, engine, progress, findable, each)
                     for group in groups.values())
     failures = tuple(outcome for outcome in outcomes if not outcome.image_size)
     return Summary(cameras, failures, time.monotonic() - began)
@@ -350,7 +352,8 @@ def _outcomes(path: str, value: list[Outcome] | BaseException | None) -> list[Ou
 
 
 def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: EngineOptions,
-               progress: Progress | None, findable: Callable[..., str]) -> CameraSummary:
+               progress: Progress | None, findable: Callable[..., str],
+               each: Callable[[Outcome], None] | None) -> CameraSummary:
     """Combine the recordings of one camera; `findable` names them for those who read them."""
     if all(outcome.start_ns is not None for outcome in group):
         group = sorted(group, key=lambda outcome: outcome.start_ns or 0)
@@ -379,6 +382,8 @@ def _summarise(group: list[Outcome], settings: CalibrationSettings, engine: Engi
                 # what is told of a recording is what counts
                 group[number] = replace(found, path=group[number].path,
                                         seconds=group[number].seconds + found.seconds)
+                if each:
+                    each(group[number])
             if progress:
                 progress(f'Again with distortion {usual}', done, len(jobs))
         findings = (Finding('recordings_asked_again', again=len(again), recordings=len(good),

@@ -163,18 +163,23 @@ def _search(source: FrameSource, target: Board, mask: ImageMask | None,
     from selfcal_ros.features.charuco import Charuco
     if isinstance(target, Charuco) and not target.is_read_alike:
         target.settle()
-        seen.views = _found_again(source, target, mask, seen.views)
+        seen.views = _found_again(source, target, mask, seen, progress)
     return seen
 
 
-def _found_again(source: FrameSource, target: Board, mask: ImageMask | None,
-                 views: list[_View]) -> list[_View]:
+def _found_again(source: FrameSource, target: Board, mask: ImageMask | None, seen: _Seen,
+                 progress: Progress | None) -> list[_View]:
     """Find the points of all views again, now that it is known how the board was drawn."""
     again = []
-    for frame in source.only(index for index, *_ in views):
+    for done, frame in enumerate(source.only(index for index, *_ in seen.views), start=1):
         identity, xy = _found(target, frame.image, True, mask)
         if len(identity):
             again.append((frame.index, identity, xy))
+        else:
+            seen.missed.append((frame.name or f'frame {frame.index}', frame.stamp_ns))
+            del seen.stamps_ns[frame.index]
+        if progress:
+            progress('Looking for the object again', done, len(seen.views))
     return again
 
 

@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.tracking_session import check_image, check_in_image, TrackingSession
@@ -78,13 +78,7 @@ class RigSession(TrackingSession):
         cameras = tuple(cameras)
         if len(cameras) == len(self._placed) and all(map(_is_same, cameras, self._placed)):
             return False
-        before, self._placed = self._placed, cameras
-        try:
-            self._take(cameras[0].camera, self.options)
-        except InputError:
-            # the same ones are refused again, not taken for those in use
-            self._placed = before
-            raise
+        self._place(cameras)
         return True
 
     def set_options(self, options: TrackerOptions) -> None:
@@ -96,10 +90,18 @@ class RigSession(TrackingSession):
         """Take a calibration of one of the cameras; see `TrackingSession.set_camera`."""
         if camera == self._placed[which].camera:
             return False
-        self._placed = tuple(replace(one, camera=camera) if k == which else one
-                             for k, one in enumerate(self._placed))
-        self._take(self._placed[0].camera, self.options)
+        self._place(tuple(replace(one, camera=camera) if k == which else one
+                          for k, one in enumerate(self._placed)))
         return True
+
+    def _place(self, cameras: tuple[PlacedCamera, ...]) -> None:
+        """Go on with other cameras; those that are refused leave the old ones in use."""
+        before, self._placed = self._placed, cameras
+        try:
+            self._take(cameras[0].camera, self.options)
+        except SelfcalError:
+            self._placed = before
+            raise
 
     def _take(self, camera: Camera, options: TrackerOptions) -> None:
         tracker = RigTracker(self.model, self._placed, options, self._seed)

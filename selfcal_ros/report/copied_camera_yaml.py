@@ -87,7 +87,7 @@ def write_copied_camera(path: str | Path, camera: CopiedCamera, name: str,
 
     """
     if Path(path).suffix.lower() == '.xml':
-        raise InputError(f'{path} is named as a file of OpenCV, and what is served is written for '
-                         'ROS; let camera_info_url end in .yaml.')
+        raise InputError(f'{path} is named as a file of OpenCV, and would be one of ROS; let its '
+                         'name end in .yaml.')
     return atomic_write(path, ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
                                        camera.d, camera.R, camera.P, comments), replace)

@@ -63,8 +63,8 @@ class ProjectionUncertainty:
         """
         Standard deviation of the direction of a ray, along its worst, shape (rows, columns).
 
-        The pixel that is known the least turns a ray the least near the border of many lenses:
-        A C Aᵀ, by the derivatives A of the ray. NaN where the lens does not see.
+        The pixel that is known the least turns a ray the least near the border of many lenses. So
+        it is of A C Aᵀ, by the derivatives A of the ray. NaN where the lens does not see.
         """
         pixels = np.stack(np.meshgrid(self.u, self.v), axis=-1).reshape(-1, 2)
         A = np.stack([_unit_rays(camera, pixels + step) - _unit_rays(camera, pixels - step)
@@ -72,9 +72,15 @@ class ProjectionUncertainty:
         G = np.swapaxes(A, 1, 2) @ A
         C = self.covariance.reshape(-1, 2, 2)
         half = np.einsum('nij,nji->n', G, C) / 2
-        both = np.linalg.det(G) * np.linalg.det(C)
+        both = _determinant(G) * _determinant(C)
         largest = half + np.sqrt(np.maximum(half**2 - both, 0))
         return np.asarray(np.sqrt(np.maximum(largest, 0)).reshape(self.covariance.shape[:2]))
+
+
+def _determinant(matrix: np.ndarray) -> np.ndarray:
+    """Return the determinants (N,) of matrices (N, 2, 2), which may hold NaN."""
+    found: np.ndarray = (matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0])
+    return found
 
 
 def _unit_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:

@@ -44,8 +44,8 @@ _WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
           'lever_not_excluded', 'circular_motion', 'not_exactly_planar',
           'frames_turned_estimated', 'rolling_shutter', 'rolling_shutter_unstamped',
-          'rolling_shutter_stated', 'rows_by_view', 'tracks_moving', 'motion_suggestion',
-          'motion_needed')
+          'rolling_shutter_stated', 'rows_by_view', 'object_moves_in_rows', 'tracks_moving',
+          'motion_suggestion', 'motion_needed')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'division_model',
          'tracks_contradictory', 'positions_surplus', 'positions_unregistered',
@@ -53,7 +53,8 @@ _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'div
          'keyframes_chosen', 'views_used', 'compressed_taken', 'image_circle', 'static_matches',
          'still_tracks', 'static_tracks', 'static_region',
          'pairs_degenerate', 'object_seen', 'object_followed', 'translation_groups',
-         'images_interlaced', 'too_fast_to_follow', 'tracks_jump', 'turning_left_out')
+         'images_interlaced', 'images_halved', 'too_fast_to_follow', 'tracks_jump',
+         'turning_left_out')
 _WEIGHTS = {kind: weight for kinds, weight in ((_DOUBT, DOUBT), (_WIDER, WIDER), (_MEANS, MEANS),
                                                (_MADE, MADE)) for kind in kinds}
 #: What a finding multiplies sigmas by, or moves by so many of them, is among its values.

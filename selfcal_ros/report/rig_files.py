@@ -92,7 +92,8 @@ def rig_camera_yaml(rig: RigCalibration, name: str, source: str = '') -> str:
                 f'one of {len(rig.cameras)} cameras that were calibrated together: '
                 f'{", ".join(rig.cameras)}']
     if stereo is None and len(rig.cameras) == 2:
-        comments.append('The cameras do not sit side by side: R and P are those of one alone.')
+        comments.append('R and P are those of this camera alone: the two do not sit side by side, '
+                        'look different ways, or their pose is open.')
     if stereo is not None and rig.unit != 'm':
         comments.append('The baseline is not known in metres: state it (--baseline), and the '
                         'projection matrix has it.')

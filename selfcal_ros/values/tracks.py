@@ -216,6 +216,10 @@ class Tracks:
         point = np.unique(self.track, return_inverse=True)[1]
         return self.select(of_longest(view, point, per_view))
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out what is found again, for who sends tracks to another process."""
+        return {name: value for name, value in vars(self).items() if name != '_rows'}
+
     @cached_property
     def _rows(self) -> dict[int, np.ndarray]:
         """Which observations are of each frame: pairs of frames are asked for by thousands."""

@@ -13,6 +13,7 @@
 # limitations under the License.
 """`selfcal calibrate --cameras`: files of a stereo pair, and what is wrong in words."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -29,10 +30,12 @@ from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
 from selfcal_ros import CameraFacts
 from selfcal_ros.cli.main import main
+from selfcal_ros.cli.track_rig import track_rig_recordings
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
+from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs, RigInput
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
@@ -376,3 +379,22 @@ def test_two_views_in_one_image_are_calibrated_together(tmp_path):
 def test_the_same_images_are_no_two_cameras():
     with pytest.raises(ArgumentError, match='the same images'):
         rig_inputs(['drive/cam0', 'drive/../drive/cam0'], 'left,right')
+
+
+@pytest.mark.parametrize('halves, opened', [((None, None), ['right', 'right']),
+                                            (('left', 'right'), ['left', 'right'])])
+def test_a_half_that_is_asked_for_is_tracked_unless_each_camera_has_its_own(monkeypatch, halves,
+                                                                            opened):
+    asked = []
+
+    def opening(path, topic, colour=False, excerpt=None):
+        asked.append(excerpt.half)
+        if len(asked) == len(halves):
+            raise InputError('Enough.')
+        return nullcontext()
+
+    monkeypatch.setattr('selfcal_ros.pipeline.sources.open_source', opening)
+    inputs = [RigInput(f'camera{k}', f'{k}.mp4', half=half) for k, half in enumerate(halves)]
+    with pytest.raises(InputError, match='Enough'):
+        track_rig_recordings(inputs, [], [], excerpt=Excerpt(half='right'))
+    assert asked == opened

@@ -295,13 +295,13 @@ def test_what_inputs_name(tmp_path, monkeypatch):
     assert find_recordings(['nowhere']) == ([Path('nowhere')], False)
     with pytest.raises(many_inputs.InputError, match='Nothing fits'):
         find_recordings(['no/*.mcap'])
-    # a table or a film beside images is about them, and pictures of tables are as many
+    # a table or a film beside many images is about them, and a few pictures about a table
     images = tmp_path / 'images'
     images.mkdir()
-    for name in ('0.png', '1.png', 'poses.csv'):
+    for name in ('0.png', '1.png', '2.png', '3.png', 'poses.csv'):
         (images / name).touch()
     assert find_recordings(['images']) == ([Path('images')], False)
-    (images / 'other.csv').touch()
+    (images / '3.png').unlink()
     assert find_recordings(['images'])[1]
     # a shell has taken a folder apart; beside recordings they are a line each
     for name in ('a.png', 'b.JPG'):

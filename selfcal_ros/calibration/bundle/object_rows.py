@@ -15,7 +15,8 @@
 Motion of an object before the camera while each image is read, row by row.
 
 A board in a hand does not hold still. Its points are known, so that a single image shows how it
-moved meanwhile: six unknowns a view, Gaussian about a mean that need not be zero (`ViewEffects`).
+moved meanwhile. Each view has six unknowns for that, Gaussian about a mean that need not be zero
+(`ViewEffects`).
 """
 
 from __future__ import annotations

@@ -95,7 +95,8 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     target : KnownObject
     facts : CameraFacts, optional
         What is known of the camera; nothing by default. Distortion 'auto': the richest model
-        that the data determine. Shutter 'rolling': the object may move while an image is read.
+        that the data determine. Shutter 'rolling', or a line delay, whose value is not
+        used: the object may move while an image is read.
     flatness : float, optional
         Standard deviation of the bend of a plane object, in its unit; 0 for an exactly flat one.
         By default the bend is estimated with hardly anything supposed of it.
@@ -257,7 +258,7 @@ class _Fitted(NamedTuple):
 def _moving_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, size: tuple[int, int],
                 facts: CameraFacts) -> _Fitted | None:
     """Return the fit with an object that moves while it is read; None where it held still."""
-    if facts.shutter != 'rolling' and facts.line_delay_s is None:
+    if facts.shutter != 'rolling' and not (facts.line_delay_s or facts.line_delay_sigma_s):
         # what a lens or a print lacks looks like motion, too: it must be said that rows are read
         return None
     offered = views.select(np.isin(views.frames, fit.views.frames)[views.view])
