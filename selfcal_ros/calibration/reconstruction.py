@@ -193,6 +193,28 @@ class Reconstruction:
     row_motion: RowMotion | None = field(default=None, repr=False, compare=False)
     shift_px: np.ndarray | None = field(default=None, repr=False, compare=False)
 
+    def places_of(self, frame: np.ndarray, track: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Find the observations of reconstructed points in reconstructed views.
+
+        Parameters
+        ----------
+        frame, track : ndarray of int, shape (N,)
+
+        Returns
+        -------
+        rows : ndarray of int, shape (M,)
+            Which observations they are.
+        view, point : ndarray of int, shape (M,)
+            Their places among `frames` and `tracks`.
+
+        """
+        view, seen = _places(self.frames, frame)
+        point, known = _places(self.tracks, track)
+        rows = np.flatnonzero(seen & known)
+        return rows, view[rows], point[rows]
+
     def when_seen(self, view: np.ndarray, point: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """
         Return points in the frame of the camera that saw them, when it read their line.
@@ -214,6 +236,16 @@ class Reconstruction:
         if self.row_motion is None:
             return X
         return self.row_motion.when_read(X, self.points[point, 3], view, xy)
+
+
+def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find values among keys: their places, and whether they are there at all."""
+    keys = np.asarray(keys)
+    if not len(keys):
+        return np.zeros(len(wanted), int), np.zeros(len(wanted), bool)
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return place, keys[place] == wanted
 
 
 @dataclass(frozen=True)

@@ -245,6 +245,29 @@ class Calibration:
         ratio: np.ndarray = np.exp(log_fx) / self.camera.K[0, 0]
         return ratio
 
+    def steadied(self, view: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return pixels as `camera` would see them: of its focal length, and not shifted.
+
+        Parameters
+        ----------
+        view : ndarray of int, shape (N,)
+            Places among the views of the reconstruction.
+        xy : ndarray, shape (N, 2)
+
+        Returns
+        -------
+        xy : ndarray, shape (N, 2)
+        scale : ndarray, shape (N, 1)
+            By which a length in the image is larger than there.
+
+        """
+        shape, centre = self.reconstructed, self.camera.K[:2, 2]
+        scale = self.magnification(np.asarray(shape.frames)[view])[:, None]
+        if shape.shift_px is not None:
+            xy = xy - shape.shift_px[view]
+        return centre + (xy - centre) / scale, scale
+
     def focal_of(self, frame: float) -> Measured:
         """Return fx at a frame, which need not be among `frames`, with its sigma."""
         if self.focal is None:

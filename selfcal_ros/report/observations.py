@@ -68,21 +68,16 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
 
     """
     shape = result.reconstructed
-    view, seen = _places(shape.frames, tracks.frame)
-    point, known = _places(shape.tracks, tracks.track)
-    both = seen & known
-    view, point, xy = view[both], point[both], tracks.xy[both]
+    rows, view, point = shape.places_of(tracks.frame, tracks.track)
+    xy = tracks.xy[rows]
     X = shape.when_seen(view, point, xy)
     # a homogeneous point has no sign: take the one that most of its views see where they look
     # as the camera of the mean focal length would see them
-    scale, centre = result.magnification(tracks.frame[both])[:, None], result.camera.K[:2, 2]
-    plain = centre + (xy - centre) / scale
+    plain, scale = result.steadied(view, xy)
     along = np.nan_to_num(np.einsum('ni,ni->n', X, result.camera.rays(plain)))
     balance = np.bincount(point, np.sign(along), minlength=len(shape.points))
     ahead = X * np.where(balance[point] < 0, -1, 1)[:, None]
     residual = (result.camera.project(ahead) - plain) * scale
-    if shape.shift_px is not None:
-        residual += shape.shift_px[view]
     with np.errstate(invalid='ignore', over='ignore'):
         distance = np.linalg.norm(residual, axis=1)
         finite = np.sort(distance[np.isfinite(distance)])
@@ -91,14 +86,4 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
         if 0 < result.observation_count <= len(finite):
             limit = max(limit, finite[result.observation_count - 1])
         used = distance <= limit
-    return ObservationTable(view, tracks.track[both], xy, residual, used)
-
-
-def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find values among keys: their places, and whether they are there at all."""
-    keys = np.asarray(keys)
-    if not len(keys):
-        return np.zeros(len(wanted), int), np.zeros(len(wanted), bool)
-    order = np.argsort(keys)
-    place = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
-    return order[place], keys[order[place]] == wanted
+    return ObservationTable(view, tracks.track[rows], xy, residual, used)

@@ -67,27 +67,14 @@ class ProjectionUncertainty:
         it is of A C Aᵀ, by the derivatives A of the ray. NaN where the lens does not see.
         """
         pixels = np.stack(np.meshgrid(self.u, self.v), axis=-1).reshape(-1, 2)
-        A = np.stack([_unit_rays(camera, pixels + step) - _unit_rays(camera, pixels - step)
+        A = np.stack([camera.rays(pixels + step) - camera.rays(pixels - step)
                       for step in ([0.5, 0.0], [0.0, 0.5])], axis=2)
-        G = np.swapaxes(A, 1, 2) @ A
-        C = self.covariance.reshape(-1, 2, 2)
-        half = np.einsum('nij,nji->n', G, C) / 2
-        both = _determinant(G) * _determinant(C)
-        largest = half + np.sqrt(np.maximum(half**2 - both, 0))
+        # of the same eigenvalues but for a zero
+        AAC = np.swapaxes(A, 1, 2) @ A @ self.covariance.reshape(-1, 2, 2)
+        half = np.einsum('nii->n', AAC) / 2
+        with np.errstate(invalid='ignore'):
+            largest = half + np.sqrt(np.maximum(half**2 - np.linalg.det(AAC), 0))
         return np.asarray(np.sqrt(np.maximum(largest, 0)).reshape(self.covariance.shape[:2]))
-
-
-def _determinant(matrix: np.ndarray) -> np.ndarray:
-    """Return the determinants (N,) of matrices (N, 2, 2), which may hold NaN."""
-    found: np.ndarray = (matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0])
-    return found
-
-
-def _unit_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """Return the directions (N, 3) that pixels (N, 2) see."""
-    rays = camera.rays(pixels)
-    unit: np.ndarray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return unit
 
 
 def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int = 40,

@@ -79,8 +79,13 @@ class Clock:
 
     def delays(self, xy: np.ndarray) -> np.ndarray:
         """Return τ over the line delay for observed pixels (N, 2), shape (N,)."""
-        line: np.ndarray = (xy[:, self.axis] - (self.lines - 1) / 2) / self.lines
-        return line
+        return line_of(xy, self.lines, self.axis)
+
+
+def line_of(xy: np.ndarray, lines: int, axis: int) -> np.ndarray:
+    """Return the line of pixels (N, 2), shape (N,): -1/2 is the first one and 1/2 the last."""
+    line: np.ndarray = (xy[:, axis] - (lines - 1) / 2) / lines
+    return line
 
 
 def difference_weights(times: np.ndarray, most: int = STENCIL,

@@ -25,8 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.clock import line_of
 from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
-from selfcal_ros.calibration.bundle.shutter import ASTRAY
+from selfcal_ros.calibration.bundle.shutter import read_at
 from selfcal_ros.calibration.bundle.view_effects import ViewEffects
 from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix
 
@@ -63,11 +64,7 @@ class ObjectRows:
 
         That of the line that they project to, unless they project far from what is measured.
         """
-        with np.errstate(invalid='ignore'):
-            near = np.abs(projected - xy).max(axis=1) < ASTRAY * self.lines
-        line = np.where(near, projected[:, self.axis], xy[:, self.axis])
-        delays: np.ndarray = (line - (self.lines - 1) / 2) / self.lines
-        return delays
+        return line_of(read_at(projected, xy, self.lines), self.lines, self.axis)
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     view, path = blocks.view, state.path
     placed, weight = state.placed_ahead(blocks, xy)
     still = projection(state.lens, placed @ path.mount.T, state.zoom, view)
-    delay = clock.delays(xy if before is None else _projected(still.uv + before, xy, clock))
+    delay = clock.delays(xy if before is None else read_at(still.uv + before, xy, clock.lines))
     tau = (state.line_delay * delay)[:, None]
     velocity, acceleration, jerk = motion[:, view]
     rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
@@ -275,10 +275,10 @@ def motion_by_powers(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clo
     return by_powers
 
 
-def _projected(projected: np.ndarray, xy: np.ndarray, clock: Clock) -> np.ndarray:
+def read_at(projected: np.ndarray, xy: np.ndarray, lines: int) -> np.ndarray:
     """Return where points project (N, 2), or the measured pixels where that is far from them."""
     with np.errstate(invalid='ignore'):
-        near = np.abs(projected - xy).max(axis=1) < ASTRAY * clock.lines
+        near = np.abs(projected - xy).max(axis=1) < ASTRAY * lines
     return np.where(near[:, None], projected, xy)
 
 

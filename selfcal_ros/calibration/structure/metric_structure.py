@@ -191,15 +191,11 @@ def _point_covariances(calibration: Calibration, tracks: Tracks, poses: np.ndarr
                        points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (P, 3, 3) of points, NaN where unknown, and their least distance."""
     shape, camera = calibration.reconstructed, calibration.camera
-    view, seen = _places(shape.frames, tracks.frame)
-    point, known = _places(shape.tracks, tracks.track)
-    both = seen & known & np.isfinite(points[point]).all(axis=1)
-    view, point, xy = view[both], point[both], tracks.xy[both]
+    rows, view, point = shape.places_of(tracks.frame, tracks.track)
+    finite = np.isfinite(points[point]).all(axis=1)
+    view, point, xy = view[finite], point[finite], tracks.xy[rows[finite]]
     when_seen = shape.when_seen(view, point, xy) / shape.points[point, 3:]
-    scale, centre = calibration.magnification(tracks.frame[both])[:, None], camera.K[:2, 2]
-    if shape.shift_px is not None:
-        xy = xy - shape.shift_px[view]
-    xy = centre + (xy - centre) / scale
+    xy, scale = calibration.steadied(view, xy)
     X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
     # a homogeneous point far beyond the image may meet the fold of the distortion
     with np.errstate(invalid='ignore', over='ignore'):
@@ -218,16 +214,6 @@ def _point_covariances(calibration: Calibration, tracks: Tracks, poses: np.ndarr
     enough = np.flatnonzero((views >= 2) & (np.linalg.cond(information) < 1e12))
     covariance[enough] = (calibration.noise_sigma_px**2 * np.linalg.inv(information[enough]))
     return covariance, nearest
-
-
-def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find values among keys: their places, and whether they are there at all."""
-    keys = np.asarray(keys)
-    if not len(keys):
-        return np.zeros(len(wanted), int), np.zeros(len(wanted), bool)
-    order = np.argsort(keys)
-    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
-    return place, keys[place] == wanted
 
 
 def to_affine(cameras: np.ndarray, points: np.ndarray, plane: ArrayLike,
