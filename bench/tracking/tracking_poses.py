@@ -20,11 +20,11 @@ The objects are those of `selfcal_ros.synthetic.objects`, whose poses are exact.
 from __future__ import annotations
 
 from bench.tables import Report
-from bench.tracking.tracking_runs import follow, pose_error
+from bench.tracking.tracking_runs import follow, pose_error, WRONG
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.rorapid.tracker import TrackerOptions
+from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.synthetic.objects import perturbed, tracked_object
 
 SHARES = np.array([0.6, 0.8, 0.9, 0.95])
@@ -35,6 +35,8 @@ SEEDS = (31, 32, 33, 34)
 SETTLING = 15
 #: How far the start is from the truth: radians and share of the distance.
 START_RAD, START_FRACTION = 0.03, 0.01
+#: Time in which all rows are read.
+READOUT_S = 0.02
 #: Required.
 ROTATION_DEG, TRANSLATION_FRACTION, FOCAL_FRACTION, COVERAGE = 0.3, 0.005, 0.01, 0.05
 
@@ -46,6 +48,7 @@ def run(report: Report, options) -> None:
     coverage(report, options.runs or MANY)
     motion_models(report, images)
     focal(report, images)
+    rolling(report, images)
 
 
 def start_of(recording, seed: int = 1):
@@ -122,6 +125,39 @@ def coverage(report: Report, images: int) -> None:
                   for row in rows])
     report.say('')
     report.verdict('largest difference from the nominal share', worst, COVERAGE)
+
+
+def rolling(report: Report, images: int) -> None:
+    """Rows that are read one after the other, with their delay known and not."""
+    report.section('Rolling shutter: rows read in 20 ms',
+                   f'{len(SEEDS)} sequences of {images} images; speed 1 is up to 5 px between '
+                   'images. The same images, with the line delay stated and without.')
+    rows = []
+    for shape in ('cube', 'step_block'):
+        for speed in (1.0, 3.0):
+            # with the line delay and without: squared distances, errors, images called tracked
+            pooled: list[tuple] = [([], [], []), ([], [], [])]
+            for seed in SEEDS:
+                recording = tracked_object(images, shape, 'general', speed=speed,
+                                           readout_s=READOUT_S, seed=seed)
+                for delay, found in zip((READOUT_S / recording.camera.height, 0.0), pooled):
+                    track, errors = tracked(recording, TrackerOptions(line_delay_s=delay))
+                    good = np.array([state is TrackerState.TRACKING for state in track.states])
+                    square = np.einsum('ni,ni->n', errors, np.linalg.solve(
+                        settled(track.covariances), errors[..., None])[..., 0])
+                    for into, values in zip(found, (square, errors, settled(good))):
+                        into.append(values)
+            for name, found in zip(('stated', 'not stated'), pooled):
+                square, errors, good = map(np.concatenate, found)
+                rows.append((shape, f'{speed:g}', name, f'{np.rad2deg(rms(errors[:, 3:])):.3f}',
+                             f'{1000 * rms(errors[:, :3]):.2f}', f'{100 * good.mean():.0f} %',
+                             *(f'{share:.3f}' for share in _inside(square)),
+                             f'{int((good & (square > WRONG)).sum())}'))
+    report.table(('object', 'speed', 'line delay', 'rotation rms °', 'mm', 'called tracked',
+                  *(f'{100 * share:.0f} %' for share in SHARES), 'tracked and wrong'), rows)
+    report.say('')
+    report.verdict('called tracked and wrong, line delay stated',
+                   sum(int(row[-1]) for row in rows[::2]), 0)
 
 
 def _inside(distance: np.ndarray) -> list:

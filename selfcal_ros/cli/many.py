@@ -163,6 +163,7 @@ class _RecordingFiles:
         from selfcal_ros.report.camera_uncertainty import uncertainty_comment
         from selfcal_ros.report.camera_yaml import write_camera_yaml
         from selfcal_ros.report.result_json import write_result_json
+        from selfcal_ros.report.shutter_comment import shutter_comment
         if outcome.result is None:
             return
         key = outcome.path, outcome.topic
@@ -178,8 +179,9 @@ class _RecordingFiles:
         about = f'{outcome.result.software}: {outcome.path} {outcome.topic}'
         write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
                           file_name(outcome.topic) or 'camera',
-                          [about, *uncertainty_comment(outcome.result.camera,
-                                                       outcome.result.covariance)])
+                          [about, *shutter_comment(outcome.result.shutter),
+                           *uncertainty_comment(outcome.result.camera,
+                                                outcome.result.covariance)])
         if self._poses and outcome.camera_path is not None:
             from selfcal_ros.report.scene_files.pose_files import ENDS, write_poses
             write_poses(self._folder / f'{name}{ENDS[self._poses]}', self._poses,

@@ -32,6 +32,7 @@ from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.result_json import result_to_json
+from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.values.output_files import OutputTaken
 from selfcal_ros.values.tracks import Tracks
 
@@ -254,17 +255,5 @@ def _camera_comments(result: Calibration, source: str) -> list[str]:
     return [f'{result.software}: {source}' if source else result.software,
             f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
             f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
-            *varied, *_shutter_comments(result),
+            *varied, *shutter_comment(result.shutter),
             *uncertainty_comment(result.camera, result.covariance)]
-
-
-def _shutter_comments(result: Calibration) -> list[str]:
-    """Say in a camera file what CameraInfo has no field for."""
-    shutter = result.shutter
-    if shutter is None:
-        return []
-    if shutter.line_delay_s is None:
-        return [f'rolling shutter: all {shutter.lines} in {shutter.intervals:.4g} +- '
-                f'{shutter.intervals_sigma:.2g} intervals between frames']
-    return [f'rolling shutter: line_delay {shutter.line_delay_s:.6g} s +- '
-            f'{shutter.sigma_s:.2g} s, by {shutter.lines} ({shutter.status})']

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
@@ -80,6 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--plane-axis', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
                        help='with --motion planar: axis of rotation in the camera frame '
                             '(default: learned)')
+    group.add_argument('--line-delay', type=float, metavar='S',
+                       help='rolling shutter: time from one row to the next, in seconds; negative '
+                            'from the lowest row up (default: as the camera file says; where it '
+                            'says nothing, all rows are read at once)')
+    group.add_argument('--lines', choices=('rows', 'columns'), default=None,
+                       help='what is read one after the other, with --line-delay (default rows)')
     add_seed_argument(group)
     output = parser.add_argument_group('output')
     output.add_argument('--output', type=output_path, default=Path('poses.csv'),
@@ -116,13 +123,16 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.pipeline.tracking_loop import Target
     from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.pipeline.tracking_session import AUTO
-    from selfcal_ros.report.camera_files.known_camera import read_known_camera
+    from selfcal_ros.report.camera_files.known_camera import read_known
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
     from selfcal_ros.rorapid.options import TrackerOptions
+    if args.lines is not None and args.line_delay is None:
+        raise ArgumentError('--lines needs --line-delay, the time from one line to the next.')
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
                              motion=args.motion,
-                             plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
+                             plane_axis=tuple(args.plane_axis) if args.plane_axis else None,
+                             line_delay_s=args.line_delay or 0.0, lines=args.lines or 'rows')
     if args.init_sigma is not None and not 0 < args.init_sigma < 1e6:
         raise ArgumentError(f'--init-sigma takes some metres, not {args.init_sigma:g}.')
     check_suffix('poses', args.output, 'are a table', '.csv')
@@ -137,7 +147,11 @@ def run(args: argparse.Namespace) -> int:
     cameras: tuple[PlacedCamera, ...] = ()
     if args.rig is None:
         check_single(args)
-        camera = read_known_camera(args.camera)
+        stored = read_known(args.camera)
+        camera = stored.camera
+        if args.line_delay is None and stored.line_delay_s is not None:
+            options = replace(options, line_delay_s=stored.line_delay_s,
+                              lines='columns' if stored.lines == 'columns' else 'rows')
         overlays = [args.overlay] if args.overlay else []
     else:
         inputs, cameras = rig_of(args)
@@ -167,6 +181,10 @@ def run(args: argparse.Namespace) -> int:
         for remark in getattr(model, 'remarks', ()):
             print(f'{path}: {remark}', file=sys.stderr)
     written = [table.write(output) for table, output in zip(tables, outputs)]
+    if options.line_delay_s and not args.quiet:
+        source = '' if args.line_delay is not None else f', as {args.camera} says'
+        print(f'{options.lines.capitalize()} are read {1e6 * abs(options.line_delay_s):.3g} µs '
+              f'apart{source}; poses are those at the stamps, when the middle one is read.')
     tell(names, runs, written_line([*written, *overlays], earlier), args.quiet)
     return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 

@@ -27,6 +27,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.values.output_files import check_place
 
 #: Of a sigma: an estimate that moves less, and whose sigmas fall by less, brings nothing new.
@@ -93,7 +94,8 @@ class CalibrationFile:
             comments.append('the sigmas are in pixels of the images, which were binned or cropped '
                             f'to {calibration.camera.width}x{calibration.camera.height}')
         else:
-            comments += uncertainty_comment(calibration.camera, calibration.covariance)
+            comments += [*shutter_comment(calibration.shutter),
+                         *uncertainty_comment(calibration.camera, calibration.covariance)]
         written = write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,
                                     comments)
         self._saved, self._saved_at = calibration, datetime.now()

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
@@ -50,9 +50,9 @@ from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.pipeline.several_objects import object_names, parted_starts
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
-from selfcal_ros.report.camera_files.known_camera import read_known_camera
+from selfcal_ros.report.camera_files.known_camera import read_known
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.options import ReadLines, TrackerOptions
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from sensor_msgs.msg import Image
 
@@ -73,11 +73,16 @@ class ObjectTrackerNode(Node):
         for path, model in zip(paths, self._models):
             for remark in getattr(model, 'remarks', ()):
                 self.get_logger().warning(f'{path}: {remark}')
-        camera = read_known_camera(given_path(p.camera_file)) if p.camera_file else None
+        stored = read_known(given_path(p.camera_file)) if p.camera_file else None
+        #: Seconds from line to line, and which lines, as the camera file says.
+        self._file_lines = (0.0, 'rows') if stored is None else (
+            stored.line_delay_s or 0.0, stored.lines)
+        camera = None if stored is None else stored.camera
         rig, of_rig = rig_of_file(p), camera_names(p.cameras)
         starts = starts_of(p.start_pose, len(paths), camera)
-        sessions = [RigSession(model, rig, tracker_options(p)) if of_rig else
-                    TrackingSession(model, tracker_options(p)) for model in self._models]
+        options = tracker_options(p, self._file_lines)
+        sessions = [RigSession(model, rig, options) if of_rig else
+                    TrackingSession(model, options) for model in self._models]
         for session, start in zip(sessions, starts):
             if camera is not None:
                 session.set_camera(camera)
@@ -140,8 +145,8 @@ class ObjectTrackerNode(Node):
     def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters) -> None:
         """Do what changed parameters say; the tracker goes on with all that it has learned."""
         self._watchdog.limit_s = new.silence_s
-        options = tracker_options(new)
-        if options != tracker_options(old):
+        options = tracker_options(new, self._file_lines)
+        if options != tracker_options(old, self._file_lines):
             self._worker.command(lambda session: session.set_options(options))
         self._inputs.choose(new.image_transport, new.reliability)
         if new.publish_tf and self.transforms is None:
@@ -233,9 +238,16 @@ def starts_of(text: str, count: int, camera: Camera | None) -> list[Start]:
             for word in parted_starts(text, count)]
 
 
-def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:
+def tracker_options(parameters: RorapidTrackerParameters,
+                    file_lines: tuple[float, str] = (0.0, 'rows')) -> TrackerOptions:
     """
     Translate the parameters.
+
+    Parameters
+    ----------
+    parameters : RorapidTrackerParameters
+    file_lines : (float, {'rows', 'columns'})
+        Seconds from line to line where the parameters say nothing, and which lines.
 
     Raises
     ------
@@ -257,8 +269,10 @@ def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:
     values = {name: getattr(parameters, name) for name in names}
     # rapid and rorapid keep to the least numbers of the thesis, which fewer points cannot reach
     default = TrackerOptions()
+    delay, lines = (parameters.line_delay_s, parameters.lines) if parameters.line_delay_s else \
+        file_lines
     return TrackerOptions(
-        plane_axis=axis,
+        plane_axis=axis, line_delay_s=delay, lines=cast(ReadLines, lines),
         least_per_line=min(default.least_per_line, values['control_points_per_line']),
         least_per_conic=min(default.least_per_conic, values['control_points_per_conic']),
         **values)

@@ -25,7 +25,7 @@ from typing import TypeVar
 
 from selfcal_ros.geometry.camera_facts import FOCAL_CHOICES, SHUTTERS
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
-from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
+from selfcal_ros.rorapid.options import CAMERA_MODELS, LINES, METHODS, MOTIONS
 
 Value = TypeVar('Value', bool, int, float, str)
 
@@ -233,6 +233,10 @@ class RorapidTrackerParameters:
     depth_scale_sigma: float = parameter(
         0.005, 'standard deviation of the one factor by which all depths err', 1e-5, 1.0,
         live=True)
+    line_delay_s: float = parameter(
+        0.0, 'rolling shutter: seconds from one row to the next, negative from the lowest row '
+        'up; 0: as camera_file says, else all rows at once', -1e-3, 1e-3)
+    lines: str = parameter('rows', 'what is read one after the other', one_of=LINES)
     object_frame: str = parameter('object', 'frame of the object')
     publish_tf: bool = parameter(False, 'publish the transform from the camera to object_frame; '
                                  'a frame may have one parent only', live=True)

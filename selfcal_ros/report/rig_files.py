@@ -34,6 +34,7 @@ from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import ros_yaml
 from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
+from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.report.yaml_text import number_text
 from selfcal_ros.values.measured_digits import with_sigma
 
@@ -97,7 +98,7 @@ def rig_camera_yaml(rig: RigCalibration, name: str, source: str = '') -> str:
     if stereo is not None and rig.unit != 'm':
         comments.append('The baseline is not known in metres: state it (--baseline), and the '
                         'projection matrix has it.')
-    comments += uncertainty_comment(camera, one.covariance)
+    comments += [*shutter_comment(one.shutter), *uncertainty_comment(camera, one.covariance)]
     return ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
                     camera.distortion, R, P, comments)
 

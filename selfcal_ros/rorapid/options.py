@@ -28,8 +28,10 @@ TrackerMethod: TypeAlias = Literal['modern', 'rorapid', 'rapid']
 TrackedCamera: TypeAlias = Literal['perspective', 'zoom', 'weak', 'affine']
 ObjectMotion: TypeAlias = Literal['general', 'translation', 'planar']
 METHODS: tuple[TrackerMethod, ...] = get_args(TrackerMethod)
+ReadLines: TypeAlias = Literal['rows', 'columns']
 CAMERA_MODELS: tuple[TrackedCamera, ...] = get_args(TrackedCamera)
 MOTIONS: tuple[ObjectMotion, ...] = get_args(ObjectMotion)
+LINES: tuple[ReadLines, ...] = get_args(ReadLines)
 
 # name: (least, most) of the numbers that are checked alike
 _RANGES = {
@@ -39,7 +41,7 @@ _RANGES = {
     'least_contrast': (0.5, 255), 'candidates': (1, 8), 'rounds': (1, 10), 'steps': (1, 20),
     'texture_points': (0, 1000), 'tracking_share': (0, 1), 'lost_share': (0, 1),
     'frames_to_lost': (1, 1000), 'frame_rate_hz': (0.01, 1e5),
-    'depth_scale_sigma': (1e-5, 1.0),
+    'depth_scale_sigma': (1e-5, 1.0), 'line_delay_s': (-1e-3, 1e-3),
     'acceleration_m_s2': (0, 1e6), 'acceleration_rad_s2': (0, 1e6), 'zoom_rate_s': (0, 100),
 }
 
@@ -97,6 +99,12 @@ class TrackerOptions:
         Standard deviation of the object's acceleration (process noise).
     zoom_rate_s : float
         Standard deviation of the relative change of the focal length in a second.
+    line_delay_s : float
+        Time from one line of the image to the next, seconds, where lines are read one after the
+        other; negative from the lowest row up, or from the rightmost column. The pose is that at
+        the stamp, when the middle line is read.
+    lines : {'rows', 'columns'}
+        What is read one after the other.
 
     Raises
     ------
@@ -132,11 +140,13 @@ class TrackerOptions:
     acceleration_m_s2: float = 2.0
     acceleration_rad_s2: float = 10.0
     zoom_rate_s: float = 0.1
+    line_delay_s: float = 0.0
+    lines: ReadLines = 'rows'
 
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
         for name, allowed in (('method', METHODS), ('camera_model', CAMERA_MODELS),
-                              ('motion', MOTIONS)):
+                              ('motion', MOTIONS), ('lines', LINES)):
             if getattr(self, name) not in allowed:
                 raise ArgumentError(f'{name} must be one of {", ".join(allowed)}, '
                                     f'not {getattr(self, name)!r}.')
@@ -177,7 +187,8 @@ class TrackerOptions:
     def built_in(self) -> tuple[object, ...]:
         """What a tracker cannot change once it is made; the rest it reads from image to image."""
         return (self.method, self.camera_model, self.motion, self.plane_axis, self.texture_points,
-                self.doubt, self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)
+                self.doubt, self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s,
+                self.line_delay_s, self.lines)
 
     @property
     def verifies(self) -> bool:

@@ -41,6 +41,7 @@ from selfcal_ros.rorapid.estimation.start_search import (
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.row_motion import RowMotion
 from selfcal_ros.rorapid.region.object_colour import ObjectColour
 from selfcal_ros.rorapid.region.region_of_interest import checked_image
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -74,7 +75,9 @@ class RorapidTracker:
         self.model, self.camera = model, camera
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
-        self._projection = Projection(camera, options.camera_model)
+        rows = RowMotion(camera, options.line_delay_s, options.lines) if options.line_delay_s \
+            else None
+        self._projection = Projection(camera, options.camera_model, rows)
         self._pose = PoseFilter(self._projection, options, model.diameter_m)
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
         self._control = ControlModel(visible_of(model, *options.control_points),
@@ -285,6 +288,7 @@ class RorapidTracker:
         fresh = starting is not None and not (starting.tries and verifier)
         if not fresh and self.state is not TrackerState.LOST:
             kalman.predict(seconds, DAMPING if self._track_state.misses >= 1 else 0.0)
+        self._pose.tell_rows()
         mask = None if starting is None else self._control.mask(kalman.state, picture.shape)
         if mask is not None:
             # in which grey an outline stands out
@@ -335,7 +339,7 @@ class RorapidTracker:
             self._plausibility.begin(measured.state.translation[2], None, sure=False)
             self._track_state.begin(lost=False)
             self._pose.kalman.restart(
-                measured.state, measured.covariance,
+                measured.state, measured.whole_covariance,
                 self._sighting.velocity(self._projection, self._pose.basis, measured.state))
         return measured
 
@@ -349,13 +353,13 @@ class RorapidTracker:
             method.disown()
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            away = self._of_pose(measured.state, measured.covariance)[5, 5]
+            away = self._of_pose(measured.state, measured.whole_covariance)[5, 5]
             self._plausibility.confirmed(starting.sure, measured.state.translation[2],
                                          float(away)**0.5)
             return self._judge(measured, image, stamp_ns)
         if good:
             method.glance(image, measured)
-            self._pose.kalman.absorb(measured.state, measured.covariance)
+            self._pose.take(measured)
         if self._track_state.gives_up(good, starting.given_up(not good), self.options):
             self._pose.restart_wide(starting.guess)
             method.disown()
@@ -385,11 +389,9 @@ class RorapidTracker:
             self.measured = measured
             innovation = self._pose.kalman.innovation_share(measured.state, measured.covariance)
             if lost:
-                self._pose.kalman.restart(measured.state, measured.covariance)
-            elif measured.with_prior:
-                self._pose.kalman.absorb(measured.state, measured.covariance)
+                self._pose.kalman.restart(measured.state, measured.whole_covariance)
             else:
-                self._pose.kalman.update(measured.state, measured.covariance)
+                self._pose.take(measured)
             tracking = measured.share >= options.tracking_share and not open_turn
             if tracking or measured.recognised or self._policy.learns_from_little:
                 self._method.remember(measured, tracking or measured.recognised)

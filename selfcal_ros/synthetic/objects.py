@@ -20,7 +20,7 @@ the same rays as a whole image would have.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,6 +42,8 @@ __all__ = ['cube', 'MOTIONS', 'object_poses', 'ObjectRecording', 'SHAPES', 'Soli
 MOTIONS = ('general', 'translation', 'planar')
 #: Pixels around the object's outline that are rendered anew.
 _MARGIN_PX = 6
+#: Rows that are rendered as if they were read at once.
+_STRIP = 4
 #: The wall behind is seen up to this angle from the axis of a fisheye.
 _WALL_RAD = np.deg2rad(72.0)
 
@@ -59,12 +61,16 @@ class ObjectRecording(Recording):
         True fx of each image where the lens zooms; fy changes in proportion.
     supersampling : int
         Samples along each side of a pixel.
+    strips : ndarray, shape (V, S, 3, 4), optional
+        Poses while each of S equal strips of rows is read, where rows are read one after the
+        other.
 
     """
 
     model: WireframeModel | None = None
     focal_px: np.ndarray | None = None
     supersampling: int = 3
+    strips: np.ndarray | None = None
 
     @property
     def rotations(self) -> np.ndarray:
@@ -83,6 +89,18 @@ class ObjectRecording(Recording):
         K = self.camera.K.copy()
         K[:2, :2] *= self.focal_px[index] / K[0, 0]
         return replace(self.camera, K=K)
+
+    def read_at(self, index: int) -> Iterator[tuple[np.ndarray, int, int]]:
+        """Yield the poses of the bodies while rows are read: (poses, first row, row after)."""
+        poses, height = self.poses(index), self.camera.height
+        if self.strips is None:
+            yield poses, 0, height
+            return
+        ends = np.linspace(0, height, len(self.strips[index]) + 1).round().astype(int)
+        for moved, first, end in zip(self.strips[index], ends[:-1].tolist(), ends[1:].tolist()):
+            bodies = poses.copy()
+            bodies[... if poses.ndim == 2 else 0] = moved
+            yield bodies, first, end
 
     # its renderer draws a window of the image, and takes none of the options of a whole scene
     def renderer(self, supersampling: int | None = None,  # type: ignore[override]
@@ -123,13 +141,15 @@ class _WindowRenderer:
             # of a zoom no background is seen twice
             self._static = {focal: self._background(camera, poses)}
         image = self._static[focal].copy()
-        left, top, right, bottom = self._window(camera, poses)
-        if right > left and bottom > top:
-            K = camera.K.copy()
-            K[:2, 2] -= left, top
-            window = Camera(K, camera.distortion, right - left, bottom - top, camera.model)
-            image[top:bottom, left:right] = Renderer(
-                self._scene, window, self._samples).intensity(poses)
+        for bodies, first, end in recording.read_at(index):
+            left, top, right, bottom = self._window(camera, bodies)
+            top, bottom = max(top, first), min(bottom, end)
+            if right > left and bottom > top:
+                K = camera.K.copy()
+                K[:2, 2] -= left, top
+                window = Camera(K, camera.distortion, right - left, bottom - top, camera.model)
+                image[top:bottom, left:right] = Renderer(
+                    self._scene, window, self._samples).intensity(bodies)
         return np.asarray(image)
 
     def _background(self, camera: Camera, poses: np.ndarray) -> np.ndarray:
@@ -162,7 +182,7 @@ class _WindowRenderer:
 
 
 def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 520.0,
-                 speed: float = 1.0, rate_hz: float = 30.0) -> np.ndarray:
+                 speed: float = 1.0, rate_hz: float = 30.0, after_s: float = 0.0) -> np.ndarray:
     """
     Poses of an object that moves before a camera which looks down on it.
 
@@ -177,6 +197,8 @@ def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 5
     speed : float
         1: up to about 5 px between images at 30 Hz.
     rate_hz : float
+    after_s : float
+        So long after the stamp of each image.
 
     Returns
     -------
@@ -188,7 +210,7 @@ def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 5
         raise ArgumentError(f'The motion must be one of {", ".join(MOTIONS)}, not {motion!r}.')
     distance = 2.9 * diameter_m * focal_px / 520
     fixed = look_at(distance * np.array([0.55, -0.62, 0.56]), [0, 0, 0])
-    time = speed * np.arange(views) / rate_hz
+    time = speed * (np.arange(views) / rate_hz + after_s)
     # incommensurable periods: a long recording does not repeat itself
     wave = np.sin(np.multiply.outer(time, [0.97, 1.31, 0.73, 1.09, 0.83, 0.61]))
     moved = diameter_m * np.column_stack([0.5 * wave[:, 3], 0.5 * wave[:, 4], 0.35 * wave[:, 5]])
@@ -208,7 +230,7 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
                    distortion: Sequence[float] = (), zoom_px: tuple[float, float] | None = None,
                    clutter: float = 0.0, background: bool = True, noise_sigma: float = 1.0,
                    speed: float = 1.0, rate_hz: float = 30.0, supersampling: int = 3,
-                   seed: int = 4) -> ObjectRecording:
+                   readout_s: float = 0.0, seed: int = 4) -> ObjectRecording:
     """
     Move a known object before a fixed camera.
 
@@ -232,6 +254,9 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
         Of the motion; see `object_poses`.
     supersampling : int
         Samples along each side of a pixel.
+    readout_s : float
+        Time in which the rows of an image are read, the middle one at the stamp; negative from
+        the lowest row up.
 
     Returns
     -------
@@ -251,7 +276,7 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
         raise ArgumentError(f'A recording needs at least one view, not {views!r}.')
     made = {'function': 'tracked_object', 'views': views, 'shape': shape, 'motion': motion,
             'zoom_px': zoom_px, 'clutter': clutter, 'noise_sigma': noise_sigma, 'speed': speed,
-            'rate_hz': rate_hz, 'seed': seed}
+            'rate_hz': rate_hz, 'readout_s': readout_s, 'seed': seed}
     camera = camera or default_camera(size, distortion)
     thing = own or SHAPES[str(shape)](rng=np.random.default_rng([seed, 0]), clutter=clutter)
     focal = None if zoom_px is None else np.geomspace(zoom_px[0], zoom_px[1], views)
@@ -259,8 +284,18 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
     # the first focal length fixes how near the object is: it appears equally large
     poses = object_poses(motion, views, thing.model.diameter_m,
                          first * 640 / camera.width, speed, rate_hz)
+    strips = None
+    if readout_s:
+        count = max(camera.height // _STRIP, 1)
+        strips = np.stack([
+            object_poses(motion, views, thing.model.diameter_m, first * 640 / camera.width, speed,
+                         rate_hz, after_s=readout_s * ((k + 0.5) / count - 0.5))
+            for k in range(count)], axis=1)
     if focal is not None:
-        poses[:, 2, 3] *= (focal / first) ** 0.85
+        away = (focal / first) ** 0.85
+        poses[:, 2, 3] *= away
+        if strips is not None:
+            strips[:, :, 2, 3] *= away[:, None]
     surfaces, static = list(thing.surfaces), None
     if background:
         static = np.eye(3, 4)
@@ -270,7 +305,7 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
     stamps = FIRST_STAMP_NS + np.rint(np.arange(views) * 1e9 / rate_hz).astype(np.int64)
     return ObjectRecording(f'tracked_{shape}', camera, poses, stamps, surfaces, static,
                            noise_sigma, seed=seed, made=made, model=thing.model,
-                           focal_px=focal, supersampling=supersampling)
+                           focal_px=focal, supersampling=supersampling, strips=strips)
 
 
 def _wall(rng: np.random.Generator, camera: Camera, depth: float, focal: float) -> Surface:

@@ -19,9 +19,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.report.poses_csv import read_poses
+from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.objects import pose_errors, tracked_object
 from selfcal_ros.synthetic.recordings import write_image_folder
@@ -45,6 +47,25 @@ def test_the_recorded_object_is_tracked_to_its_end(capsys):
     assert np.sqrt(np.mean(np.rad2deg(angle)**2)) < 0.3
     assert np.sqrt(np.mean(share**2)) < 0.005
     assert list(poses['stamp_ns']) == truth['stamps_ns']
+
+
+def test_rows_are_read_as_the_camera_file_says_or_the_user(capsys):
+    recording = tracked_object(4, 'cube', size=(480, 360), speed=2.5, readout_s=0.02)
+    write_image_folder(recording, 'rolling')
+    readout = RowReadout(0.02 / 360, 1e-7, 'estimated', 0.6, 0.001, 360)
+    write_camera_yaml('rows.yaml', recording.camera, 'camera', shutter_comment(readout))
+    write_camera_yaml('none.yaml', recording.camera, 'camera')
+    poses = {}
+    for camera, more in (('rows.yaml', ()), ('none.yaml', ('--line-delay', str(0.02 / 360))),
+                         ('rows.yaml', ('--line-delay', '0'))):
+        selfcal('track', 'rolling', *OBJECT, '--camera', camera, *more)
+        said = capsys.readouterr().out
+        assert ('as rows.yaml says' in said) == (camera == 'rows.yaml' and not more)
+        assert ('55.6 µs apart' in said) == (more != ('--line-delay', '0'))
+        poses[camera, more] = read_poses('poses.csv')['rotation'][-1]
+    by_file, by_option, at_once = poses.values()
+    assert np.allclose(by_file, by_option, atol=1e-6)
+    assert np.abs(by_file - at_once).max() > 1e-3
 
 
 def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
@@ -81,6 +102,8 @@ def test_poses_of_an_earlier_run_are_said_to_be_replaced(capsys):
     ([BAG, *OBJECT, *CAMERA, '--output', 'p.json'], 'are a table, and must be named .csv.'),
     ([BAG, *OBJECT, *CAMERA, '--output', 'tracks.csv/p.csv'], 'tracks.csv is a file'),
     ([BAG, *OBJECT, *CAMERA, '--camera-model', 'affine', '--motion', 'planar'], 'affine'),
+    ([BAG, *OBJECT, *CAMERA, '--lines', 'columns'], '--lines needs --line-delay'),
+    ([BAG, *OBJECT, *CAMERA, '--line-delay', '0.02'], 'line_delay_s must lie between'),
     (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])
 def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     Path('broken.cao').write_text('V1\n3\n0 0 0\n1 0 0\n0 1 0\n0\n0\n1\n3 0 1 7\n0\n0\n')

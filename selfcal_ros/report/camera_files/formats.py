@@ -36,6 +36,7 @@ from selfcal_ros.report.camera_uncertainty import stored_uncertainty
 from selfcal_ros.report.camera_yaml import (camera_from_document, camera_yaml, is_kalibr,
                                             ROS_MODELS)
 from selfcal_ros.report.result_json import result_from_dict
+from selfcal_ros.report.shutter_comment import stored_line_delay
 from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
 from selfcal_ros.values.output_files import atomic_write
 
@@ -130,7 +131,9 @@ def read_cameras(path: str | Path, *, fisheye: bool = False,
     if is_kalibr(document):
         return 'kalibr', parse_kalibr(document, source)
     camera, name = camera_from_document(document, source)
-    return 'ros', [StoredCamera(camera, name, covariance=stored_uncertainty(text, camera))]
+    delay, lines = stored_line_delay(text) or (None, 'rows')
+    return 'ros', [StoredCamera(camera, name, covariance=stored_uncertainty(text, camera),
+                                line_delay_s=delay, lines=lines)]
 
 
 def read_camera(path: str | Path, which: str | None = None, option: str = '--camera',
@@ -240,5 +243,8 @@ def _from_result(text: str, source: str) -> list[StoredCamera]:
     failed = [result for _, result, _ in found if not result]
     if failed or not found:
         raise InputError(f'{source} holds no camera. {" ".join(map(str, failed[:1]))}'.rstrip())
-    return [StoredCamera(result.camera, name, covariance=result.covariance, status=status)
-            for name, result, status in found]
+    return [StoredCamera(
+        result.camera, name, covariance=result.covariance, status=status,
+        line_delay_s=None if result.shutter is None else result.shutter.line_delay_s,
+        lines='rows' if result.shutter is None else result.shutter.lines)
+        for name, result, status in found]

@@ -22,6 +22,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.formats import read_cameras
+from selfcal_ros.report.camera_files.stored import StoredCamera
 
 #: Beyond this angle from the axis a fisheye may end within its image: its rim is black there.
 RIM_RAD = np.radians(80)
@@ -30,6 +31,11 @@ _BORDER = 33
 
 
 def read_known_camera(path: str | Path) -> Camera:
+    """Read the one camera of a file as `read_known` does; return the camera alone."""
+    return read_known(path).camera
+
+
+def read_known(path: str | Path) -> StoredCamera:
     """
     Read the one camera of a file, of whatever program, to be used as it is.
 
@@ -50,7 +56,7 @@ def read_known_camera(path: str | Path) -> Camera:
         raise InputError(f'{path} does not tell the image size; add it with `selfcal convert '
                          '--image-size W H`.')
     check_unfolded(camera, str(path))
-    return camera
+    return cameras[0]
 
 
 def check_unfolded(camera: Camera, source: str) -> None:

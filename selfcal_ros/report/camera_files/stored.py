@@ -42,6 +42,10 @@ class StoredCamera:
         Of the camera's parameters, where the file has it.
     status : dict
         Per parameter 'estimated', 'held' or 'unobservable', where the file has it.
+    line_delay_s : float or None
+        Seconds from one line of the image to the next, where the file tells a rolling shutter.
+    lines : {'rows', 'columns'}
+        What is read one after the other.
 
     """
 
@@ -50,6 +54,8 @@ class StoredCamera:
     topic: str = ''
     covariance: np.ndarray | None = None
     status: dict[str, Status] = field(default_factory=dict)
+    line_delay_s: float | None = None
+    lines: str = 'rows'
 
 
 def lens_camera(source: str, K: ArrayLike, model: str, coefficients: ArrayLike,

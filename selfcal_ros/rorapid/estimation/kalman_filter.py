@@ -132,7 +132,8 @@ class ConstantVelocityFilter:
         self.covariance = self.covariance - gain @ self.covariance[:m]
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
-    def absorb(self, state: ObjectPose, covariance: np.ndarray) -> None:
+    def absorb(self, state: ObjectPose, covariance: np.ndarray,
+               late: np.ndarray | None = None) -> None:
         """
         Take over the posterior of a measurement that already contained the prediction.
 
@@ -142,10 +143,16 @@ class ConstantVelocityFilter:
             Maximum of the posterior.
         covariance : ndarray, shape (m, m)
             Of the posterior.
+        late : ndarray, shape (m, m), optional
+            How long after the stamp the image tells each correction, seconds; the posterior is
+            that for the velocity as predicted. None: it tells all of them at the stamp.
 
         """
         m = self.basis.shape[1]
         step = self.basis.T @ self.projection.difference(state, self.state)
+        if late is not None:
+            self._absorb_late(step, covariance, late)
+            return
         carry = np.linalg.solve(self.pose_covariance, self.covariance[:m, m:]).T
         self.velocity = self.velocity + carry @ step
         cross = carry @ covariance
@@ -156,6 +163,24 @@ class ConstantVelocityFilter:
                     - carry @ (self.covariance[:m, :m] - covariance) @ carry.T)
         new[m:, m:] = 0.5 * (velocity + velocity.T)
         self.covariance, self.state = new, state
+
+    def _absorb_late(self, step: np.ndarray, covariance: np.ndarray, late: np.ndarray) -> None:
+        """
+        Take over a posterior of p + late v, whose prior was that of p alone.
+
+        With L the image's information, P the covariance of (p, v), H = [I late] and S = H P H':
+        P - P H' (I + L S)^-1 L H P, and a step of P H' (I + L S)^-1 b, where b = L z.
+        """
+        P, m = self.covariance, self.basis.shape[1]
+        pull = np.linalg.solve(covariance, step)
+        seen = np.linalg.inv(covariance) - np.linalg.inv(self.pose_covariance)
+        PH = P[:, :m] + P[:, m:] @ late.T
+        gain = np.linalg.solve((np.eye(m) + seen @ (PH[:m] + late @ PH[m:])).T, PH.T).T
+        moved = gain @ pull
+        self.state = self.projection.moved(self.state, self.basis @ moved[:m])
+        self.velocity = self.velocity + moved[m:]
+        P = P - gain @ seen @ PH.T
+        self.covariance = 0.5 * (P + P.T)
 
     def doubt_motion(self) -> None:
         """Take note that it may have moved in any way since the last image, and may go on so."""

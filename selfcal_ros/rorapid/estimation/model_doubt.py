@@ -49,6 +49,8 @@ _AT_ONCE, _EVERY, _FIRST, _LATER = 5, 3, 15, 25
 _LEAST, _MEMORY = 4, 0.95
 #: Search range, and Tukey's limit at the least and at the most, pixels.
 _REACH_PX, _LIMIT_PX = 8, (1.5, 6.0)
+#: Standard deviation of an edge, roughly, pixels.
+_EDGE_PX = 0.3
 #: A pattern stands out by so many sigmas, matters from this share on, and must explain this share
 #: of the squared residuals: single edges more, for one of them always explains the most.
 _SIGMAS = 5.0
@@ -169,6 +171,7 @@ class ModelDoubt:
         offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
         offset = np.where(np.isfinite(offset), offset, 1e6)
         weight = clutter_weight(view)[at] / (1 + (6 / np.maximum(view.end_px[at], 1.0))**2)
+        rows, prior = self._with_velocity(rows, view.projected.pixels[at])
         q, limit = np.zeros(rows.shape[1]), _LIMIT_PX[1]
         line = np.arange(len(at))
         for _ in range(3):
@@ -176,10 +179,10 @@ class ModelDoubt:
             chosen = offset[line, np.abs(distance).argmin(axis=1)]
             residual = chosen - rows @ q
             w = weight * tukey_weight(residual, limit)
-            H = (rows * w[:, None]).T @ rows + 1e-9 * np.eye(len(q))
+            H = (rows * w[:, None]).T @ rows + prior
             q = np.linalg.solve(H, rows.T @ (w * np.where(w > 0, chosen, 0.0)))
             near = np.abs(residual) < limit
-            if near.sum() < 3 * len(q):
+            if near.sum() < 3 * self.basis.shape[1]:
                 return
             limit = float(np.clip(6 * fast_robust_sigma(residual[near], 0.1), *_LIMIT_PX))
         residual = np.where(w > 0, chosen - rows @ q, 0.0)
@@ -195,9 +198,31 @@ class ModelDoubt:
         self._information = _MEMORY * self._information + information
         self._square = _MEMORY * self._square + float(w @ residual**2)
         self._weight = _MEMORY * self._weight + float(w.sum())
-        self._pull = pull
+        self._pull = pull[:self.basis.shape[1]]
         self._looks += 1
         self._judge()
+
+    def _with_velocity(self, rows: np.ndarray, pixels: np.ndarray,
+                       ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Add the velocity to what the edges may have moved by, where lines are read in turn.
+
+        An object that moves faster than thought is sheared, which is no fault of its model.
+
+        Returns
+        -------
+        rows : ndarray, shape (C, m) or (C, 2 m)
+        prior : ndarray, shape (m, m) or (2 m, 2 m)
+            Information of what the rows are of, in units of squared pixels.
+
+        """
+        m, motion = rows.shape[1], self._control.projection.row_motion
+        if motion is None:
+            return rows, 1e-9 * np.eye(m)
+        prior = 1e-9 * np.eye(2 * m)
+        known = self.basis.T @ motion.covariance @ self.basis + 1e-12 * np.eye(m)
+        prior[m:, m:] += _EDGE_PX**2 * np.linalg.inv(known)
+        return np.hstack([rows, rows * motion.seconds(pixels)[:, None]]), prior
 
     def _slopes(self, state: ObjectPose, view: ControlView, at: np.ndarray) -> np.ndarray:
         """Motion along the normals for s = 1 of each pattern, (C, K) pixels."""

@@ -21,6 +21,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
 from selfcal_ros.rorapid.estimation.filter_start import started_filter
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.start_search import proposed_covariance
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -87,6 +88,21 @@ class PoseFilter:
     def restart_wide(self, state: ObjectPose) -> None:
         """Begin again at a state that is only proposed."""
         self.kalman.restart(state, self.proposed_covariance(state))
+
+    def take(self, measured: PoseMeasurement) -> None:
+        """Take in a measurement that is accepted."""
+        if measured.with_prior:
+            self.kalman.absorb(measured.state, measured.covariance,
+                               None if measured.rows is None else measured.rows.late)
+        else:
+            self.kalman.update(measured.state, measured.covariance)
+
+    def tell_rows(self) -> None:
+        """Tell those who read the lines of the next image one by one how the object moves."""
+        rows = self._projection.row_motion
+        if rows is not None:
+            B, m = self.basis, self.basis.shape[1]
+            rows.now(B @ self.kalman.velocity, B @ self.kalman.covariance[m:, m:] @ B.T)
 
     def learns_motion(self) -> bool:
         """Whether the plane of motion has become known by the pose: then `switch`."""

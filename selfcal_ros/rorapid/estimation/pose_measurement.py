@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlView
 from selfcal_ros.rorapid.estimation.edge_fit import EdgeFit
+from selfcal_ros.rorapid.estimation.row_doubt import RowDoubt
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.region.region_of_interest import Region
 from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
@@ -87,6 +88,9 @@ class PoseMeasurement:
         Why not, or why the share is low; one sentence.
     details : SearchDetails or None
         Of the robust tracker.
+    rows : RowDoubt or None
+        When the lines were read that tell the pose; None where all are read at once. The
+        covariance is that for the velocity as predicted.
 
     """
 
@@ -104,3 +108,9 @@ class PoseMeasurement:
     focal_sigma: float = 0.0
     reason: str = ''
     details: SearchDetails | None = None
+    rows: RowDoubt | None = None
+
+    @property
+    def whole_covariance(self) -> np.ndarray:
+        """Its covariance (m, m) with what the doubt of the velocity adds."""
+        return self.covariance if self.rows is None else self.covariance + self.rows.covariance

@@ -28,6 +28,7 @@ from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.free_turn import with_turn_counted
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
 from selfcal_ros.rorapid.estimation.pose_search import PoseSearch
+from selfcal_ros.rorapid.estimation.row_doubt import row_doubt
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
 from selfcal_ros.rorapid.estimation.track_quality import (
     determines_pose, EDGES_SUFFICIENT, focal_sigma, RECOGNISED_CORNERS, RECOGNISED_FOLLOWED,
@@ -79,7 +80,8 @@ class RobustTracker:
         self.projection = control.projection
         # texture lives in parts of the image without distortion; edges in the image as it is
         self._lens = Undistorter(self.projection.camera)
-        self._pinhole = Projection(self._lens.pinhole, self.projection.model)
+        self._pinhole = Projection(self._lens.pinhole, self.projection.model,
+                                   self.projection.row_motion)
         self.texture = appearance_of(control.visible_model, control.centre, self._pinhole,
                                      options.texture_points)
         self._distorted = not self.projection.camera.is_pinhole
@@ -356,12 +358,14 @@ class RobustTracker:
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         posterior, sums = self._edges.scatter(fit)
+        motion = self.projection.row_motion
         return PoseMeasurement(
             state=fit.state, covariance=np.linalg.inv(posterior), with_prior=True,
             view=self.control.again(fit.view, fit.state), edge_px=edge_px, found=found,
             texture_px=texture_px, share=share, determined=determined, recognised=recognised,
             by_texture=bool(recognised and agree.sum() >= RECOGNISED_CORNERS),
-            focal_sigma=focal, details=SearchDetails(region, fit, matches, agree, sums, edges))
+            focal_sigma=focal, details=SearchDetails(region, fit, matches, agree, sums, edges),
+            rows=None if motion is None else row_doubt(fit, motion, self.basis))
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""

@@ -30,7 +30,9 @@ from numpy.typing import ArrayLike
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.model import LensImage
+from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.rorapid.projection.row_motion import RowMotion
 
 #: Points nearer than this (metres) count as behind the camera.
 NEAREST_M = 1e-6
@@ -108,6 +110,8 @@ class Projection:
     model : {'perspective', 'zoom', 'weak', 'affine'}
         Weak perspective takes the object's origin as its mean depth; give it points whose origin
         lies in their middle.
+    row_motion : RowMotion, optional
+        How the object moves while the lines of an image are read; None: all are read at once.
 
     Attributes
     ----------
@@ -116,9 +120,10 @@ class Projection:
 
     """
 
-    def __init__(self, camera: Camera, model: str = 'perspective'):
+    def __init__(self, camera: Camera, model: str = 'perspective',
+                 row_motion: RowMotion | None = None):
         """Take the pixel map of the camera apart."""
-        self.camera = camera
+        self.camera, self.row_motion = camera, row_motion
         self.become(model)
         self._pixel = camera.K[:2, :2].copy()
         self._centre = camera.K[:2, 2].copy()
@@ -149,6 +154,28 @@ class Projection:
             do points at a wider angle than the lens sees.
 
         """
+        seen = self._at_stamp(state, points)
+        if not self.reads_rows:
+            return seen
+        assert self.row_motion is not None
+        xy = self.row_motion.displaced(seen.xy, self._speed(points, seen), state.zoom)
+        return ProjectedPoints(self._pixels(state, xy), xy, seen.turned, seen.inverse_depth)
+
+    @property
+    def reads_rows(self) -> bool:
+        """Whether points move on until their line is read."""
+        return self.row_motion is not None and self.row_motion.is_moving
+
+    def displacement(self, state: ObjectPose, points: np.ndarray) -> np.ndarray:
+        """How far object points (C, 3) move in the image until their line is read, pixels."""
+        if not self.reads_rows:
+            return np.zeros((len(points), 2))
+        moved: np.ndarray = (self.project(state, points).pixels
+                             - self._at_stamp(state, points).pixels)
+        return moved
+
+    def _at_stamp(self, state: ObjectPose, points: np.ndarray) -> ProjectedPoints:
+        """Project object points (C, 3) as if all lines were read at once."""
         if self.model == 'affine':
             turned, inverse = points, np.ones(len(points))
             affine = state.affine_map
@@ -160,12 +187,26 @@ class Projection:
             else:
                 inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
             xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
+        return ProjectedPoints(self._pixels(state, xy), xy, turned, inverse)
+
+    def _pixels(self, state: ObjectPose, xy: np.ndarray) -> np.ndarray:
+        """Pixels (C, 2) of normalised coordinates."""
         image = self._lens_image(xy).xy if self._distorted else xy
         if self._widest < np.inf:
             radius = np.hypot(xy[:, 0], xy[:, 1])[:, None]
             image = np.where(radius > self._widest, xy * (_FAR / np.maximum(radius, 1e-12)), image)
-        return ProjectedPoints(image @ (state.zoom * self._pixel.T) + self._centre, xy, turned,
-                               inverse)
+        pixels: np.ndarray = image @ (state.zoom * self._pixel.T) + self._centre
+        return pixels
+
+    def _speed(self, points: np.ndarray, seen: ProjectedPoints) -> np.ndarray:
+        """How fast normalised coordinates of object points (C, 3) change, (C, 2) a second."""
+        assert self.row_motion is not None
+        velocity = self.row_motion.velocity
+        if self.model == 'affine':
+            return np.asarray(points @ velocity[:6].reshape(2, 3).T + velocity[6:8])
+        move = seen.turned @ cross_matrix(velocity[:3]).T + velocity[3:6]
+        away = velocity[5] if self.model == 'weak' else move[:, 2:]
+        return np.asarray((move[:, :2] - seen.xy * away) * seen.inverse_depth[:, None])
 
     def rows(self, state: ObjectPose, seen: ProjectedPoints, normal: np.ndarray) -> np.ndarray:
         """

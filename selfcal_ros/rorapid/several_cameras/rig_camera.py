@@ -229,6 +229,8 @@ class RigCamera:
         lever[3:, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
         own = self._both @ information @ self._both.T
         misplaced = lever @ self.placed.covariance @ lever.T
+        if measured.rows is not None:
+            misplaced = misplaced + self._both @ measured.rows.covariance @ self._both.T
         less = np.linalg.inv(np.eye(6) + own @ misplaced)
         known = less @ own
         return PoseInformation(there, own, 0.5 * (known + known.T), less @ self._both @ pull,

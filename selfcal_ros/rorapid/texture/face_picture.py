@@ -67,6 +67,12 @@ class Face:
         self.all_known, self.seen, self.quality = False, 0, 0.0
 
     @property
+    def frame_corners(self) -> np.ndarray:
+        """Texels at the corners of its picture, one after the other round it, (4, 2)."""
+        height, width = self.mask.shape
+        return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+
+    @property
     def young(self) -> bool:
         """Whether the picture is of too few images to be trusted."""
         return self.seen < 3

@@ -44,6 +44,8 @@ _INSIDE_PX = 6
 _LEAST_CORNERS = 8
 #: Block of the corner detector, pixels, and distance of corners.
 _BLOCK, _APART_PX = 5, 6
+#: How often places on the surface are asked anew where lines are read one after the other.
+_ROUNDS = 2
 #: First score of a corner, and the share of good corners below which a view is dropped.
 _UNPROVEN, _DROPPED = 0.5, 0.4
 
@@ -224,7 +226,11 @@ class SurfaceViews:
                texels: np.ndarray, confirmed: bool = True) -> None:
         """Put the corners (N, 2) of a view on the surface, and keep it."""
         aspect = self._aspect(state)
-        points, normals, cosine = self._on_surface(region.outside(texels), state)
+        pixels = region.outside(texels)
+        points, normals, cosine = self._on_surface(pixels, state)
+        for _ in range(_ROUNDS if self.projection.reads_rows else 0):
+            still = pixels - self.projection.displacement(state, points)
+            points, normals, cosine = self._on_surface(still, state)
         good = cosine > _LEARN_COSINE
         if np.count_nonzero(good) < _LEAST_CORNERS:
             if confirmed:

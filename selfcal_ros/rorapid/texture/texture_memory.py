@@ -45,6 +45,9 @@ _MIN_SEEN = 0.25
 _UNPROVEN, _PROVEN = 0.2, 8
 #: A picture of so much more area replaces the one before.
 _BETTER = 1.7
+#: Places of a face that its picture is led by, from its middle to its corners: what is left
+#: between them and beyond is about the same.
+_PLACES = 0.7
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
     -1, 2).astype(np.float32)
 
@@ -154,7 +157,21 @@ class TextureMemory:
         pixel[:2, 2] -= region.corner
         pixel[:2] *= region.scale
         homography: np.ndarray = pixel @ plane
+        if self.projection.reads_rows:
+            return self._as_rows_show_it(homography, face, state, region)
         return homography
+
+    def _as_rows_show_it(self, homography: np.ndarray, face: Face, state: ObjectPose,
+                         region: Region) -> np.ndarray:
+        """Lead four places of a face to where they are when their line is read."""
+        middle = face.frame_corners.mean(axis=0)
+        texels = middle + _PLACES * (face.frame_corners - middle)
+        here = texels @ homography[:, :2].T + homography[:, 2]
+        if here[:, 2].min() <= 0:
+            return homography
+        moved = self.projection.displacement(state, texels @ face.axes.T + face.origin)
+        there = here[:, :2] / here[:, 2:] + region.scale * moved
+        return cv2.getPerspectiveTransform(texels.astype(np.float32), there.astype(np.float32))
 
     def follow(self, region: Region, state: ObjectPose, levels: int = 3,
                much_hidden: bool = False) -> TextureMatches | None:
@@ -208,9 +225,7 @@ class TextureMemory:
         for k in faces:
             face = self._faces[k]
             H = self._homography(face, state, region)
-            frame = np.array([[0, 0, 1], [face.picture.shape[1], 0, 1],
-                              [0, face.picture.shape[0], 1],
-                              [face.picture.shape[1], face.picture.shape[0], 1.0]]) @ H.T
+            frame = face.frame_corners @ H[:, :2].T + H[:, 2]
             if frame[:, 2].min() <= 0:
                 continue
             frame = frame[:, :2] / frame[:, 2:]
@@ -279,8 +294,7 @@ class TextureMemory:
                 continue
             H = self._homography(face, state, region)
             size = face.mask.shape[::-1]
-            corners = np.array([[0, 0, 1], [size[0], 0, 1], [size[0], size[1], 1],
-                                [0, size[1], 1.0]]) @ H.T
+            corners = face.frame_corners @ H[:, :2].T + H[:, 2]
             if corners[:, 2].min() <= 0:
                 continue
             corners = (corners[:, :2] / corners[:, 2:]).astype(np.float32)
