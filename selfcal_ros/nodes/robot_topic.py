@@ -20,6 +20,7 @@ from importlib import import_module
 from msg_adapters.body_poses import POSE_TYPES
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import STEADY
@@ -94,6 +95,8 @@ class RobotTopic:
         self._node, self._session, self.robot = node, session, robot
         self._topic = '' if robot is None else robot.source.topic
         self._kind = ''
+        self._profile: QoSProfile | None = None
+        self._subscription: Subscription | None = None
         if robot is None:
             return
         if robot.source.frames is not None:
@@ -106,29 +109,36 @@ class RobotTopic:
         node.create_timer(0.25, self._look, clock=STEADY)
 
     def _look(self) -> None:
-        """Subscribe once the type of the topic is known, and keep within bounds."""
+        """Listen to who publishes the topic, and keep within bounds."""
         robot = self.robot
         if robot is None:
             return
-        if not self._kind:
-            kinds = self._kinds().get(self._node.resolve_topic_name(self._topic), [])
-            fitting = [kind for kind in kinds if kind in POSE_TYPES]
-            if fitting:
-                self._subscribe(fitting[0], robot)
+        if robot.source.frames is None:
+            self._subscribe(robot)
         if robot.is_full:
             robot.thin(frame.stamp_ns for frame in self._session.keyframes)
 
-    def _subscribe(self, kind: str, robot: LiveRobot) -> None:
-        self._kind = kind
-        package, _, name = kind.split('/')
-        publishers = self._node.get_publishers_info_by_topic(
-            self._node.resolve_topic_name(self._topic))
+    def _subscribe(self, robot: LiveRobot) -> None:
+        """Listen as poses are sent now: who sends them may end, and begin again in another way."""
+        publishers = [one for one in self._node.get_publishers_info_by_topic(
+            self._node.resolve_topic_name(self._topic)) if one.topic_type in POSE_TYPES]
+        kinds = [one.topic_type for one in publishers]
+        if not kinds or self._kind and self._kind not in kinds:
+            return
+        # that of the poses so far
+        kind = self._kind or kinds[0]
         reliable = all(one.qos_profile.reliability is ReliabilityPolicy.RELIABLE
-                       for one in publishers)
-        self._node.create_subscription(
+                       for one in publishers if one.topic_type == kind)
+        profile = POSES_IN_RELIABLE if reliable else POSES_IN
+        if profile is self._profile:
+            return
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._kind, self._profile = kind, profile
+        package, _, name = kind.split('/')
+        self._subscription = self._node.create_subscription(
             getattr(import_module(f'{package}.msg'), name), self._topic,
-            lambda msg: robot.add(msg, kind),
-            POSES_IN_RELIABLE if reliable else POSES_IN)
+            lambda msg: robot.add(msg, kind), profile)
 
     def _kinds(self) -> dict[str, list[str]]:
         return dict(self._node.get_topic_names_and_types())

@@ -27,7 +27,7 @@ from msg_adapters.tracks import tracks_message
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
@@ -192,6 +192,31 @@ def test_a_topic_that_is_not_there_lists_those_that_are(graph):
     graph.wait_for(lambda: any('poses are on /mocap, /wheels/odom' in one.status[0].message
                                for one in diagnostics))
     assert 'no poses on /odometry yet' in diagnostics[-1].status[0].message
+
+
+def test_poses_are_heard_however_their_publisher_sends_when_it_comes_again(graph):
+    graph = graph('-p', 'robot:=/odom')
+    node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
+    # a viewer that is there before the publisher tells nothing of how it will send
+    graph.probe.create_subscription(Odometry, '/odom', lambda msg: None, 10)
+    graph.wait_for(lambda: graph.probe.count_subscribers('/odom') > 0)
+    graph.spin_for(0.3)
+    robot = node._robot.robot
+    for turn, reliability in enumerate((ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE,
+                                        ReliabilityPolicy.BEST_EFFORT)):
+        publisher = graph.probe.create_publisher(
+            Odometry, '/odom', QoSProfile(depth=10, reliability=reliability))
+        message = Odometry(child_frame_id='base_link', header=header_message(
+            START_NS + turn * STEP_NS, 'odom', rclpy_types()))
+        message.pose.pose.orientation.w = 1.0
+
+        def is_heard():
+            publisher.publish(message)
+            return len(robot) > turn
+
+        graph.wait_for(is_heard, what=f'a pose of publisher {turn}')
+        graph.probe.destroy_publisher(publisher)
+    assert robot.dropped == 0
 
 
 @pytest.mark.parametrize('given, words', [
