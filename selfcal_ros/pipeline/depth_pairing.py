@@ -26,6 +26,8 @@ SAME_NS = 10_000_000
 SILENT_NS = 1_000_000_000
 #: Depth images are kept for so long: they may come before their images.
 KEPT_NS = 500_000_000
+#: So many of them at most, whatever their stamps say: half a second at 120 Hz.
+MOST_KEPT = 60
 
 
 class DepthPairing:
@@ -40,7 +42,7 @@ class DepthPairing:
     def __init__(self) -> None:
         """Start with nothing."""
         self._image: tuple[int, Any] | None = None
-        self._depths: deque[tuple[int, Any]] = deque()
+        self._depths: deque[tuple[int, Any]] = deque(maxlen=MOST_KEPT)
 
     def image(self, stamp_ns: int, image: Any) -> list[tuple[Any, Any]]:
         """

@@ -27,15 +27,17 @@ from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 SAME_NS = 3_000_000
 #: An image may come so much later than that of another camera, nanoseconds.
 WAIT_NS = 100_000_000
+#: So many instants wait at most, whatever their stamps say: `WAIT_NS` at 300 Hz.
+MOST_WAITING = 30
 
 
 class StampGroups:
     """
     Gathers what cameras send, whichever comes first.
 
-    An instant waits until all have sent, or the newest image is `WAIT_NS` younger. A camera that
-    is `_GONE` images behind is not waited for. What is
-    older than an instant that is done is dropped.
+    An instant waits until all have sent, or the newest image is `WAIT_NS` younger. No more than
+    `MOST_WAITING` wait. A camera that is `_GONE` images behind is not waited for. What is older
+    than an instant that is done is dropped.
 
     Parameters
     ----------
@@ -110,7 +112,8 @@ class StampGroups:
     def _is_ready(self) -> bool:
         """Whether the oldest instant is complete, or no longer waited for."""
         images = self._waiting[0][1]
-        if self._waiting[-1][0] - self._waiting[0][0] >= WAIT_NS:
+        if (self._waiting[-1][0] - self._waiting[0][0] >= WAIT_NS
+                or len(self._waiting) > MOST_WAITING):
             return True
         later = [any(other[k] is not None for _, other in self._waiting[1:])
                  for k in range(self._count)]

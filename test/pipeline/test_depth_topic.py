@@ -14,6 +14,7 @@
 """Depth images beside images: decoded, paired by their stamps, read from bags."""
 
 from types import SimpleNamespace
+import weakref
 
 from msg_adapters.image import depth_metres, image_message
 from msg_adapters.message_types import rosbags_types
@@ -26,7 +27,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.depth_pairing import DepthPairing
+from selfcal_ros.pipeline.depth_pairing import DepthPairing, MOST_KEPT
 from selfcal_ros.pipeline.depth_topic import DepthTopic, open_depths
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_run import Target, track_objects
@@ -87,6 +88,17 @@ def test_images_wait_for_their_depth_until_the_next_image():
     assert pairing.depth(133 * MS, 'E') == [('e', 'E')]
     # the depth camera fell silent: nothing waits
     assert pairing.image(2000 * MS, 'f') == [('f', None)]
+
+
+@pytest.mark.parametrize('step_ns', [0, -1])
+def test_depths_whose_stamps_stand_still_or_creep_back_are_not_gathered(step_ns):
+    pairing = DepthPairing()
+    depths = [np.zeros(1) for _ in range(3 * MOST_KEPT)]
+    alive = [weakref.ref(one) for one in depths]
+    for k in range(len(depths)):
+        pairing.depth(step_ns * k, depths[k])
+        depths[k] = None
+    assert sum(one() is not None for one in alive) <= MOST_KEPT
 
 
 @pytest.mark.parametrize('lead_ms', (0, 40, 50, 300, 450))

@@ -16,6 +16,7 @@
 from dataclasses import replace
 from functools import lru_cache
 import json
+import weakref
 
 import cv2
 import numpy as np
@@ -24,7 +25,8 @@ import pytest
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.rig_session import RigSession
-from selfcal_ros.pipeline.simultaneous import SAME_NS, simultaneous, StampGroups
+from selfcal_ros.pipeline.simultaneous import (
+    MOST_WAITING, SAME_NS, simultaneous, StampGroups)
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_files.kalibr_chain import kalibr_text
 from selfcal_ros.report.camera_files.rig_reading import read_rig, ROUGH_M
@@ -186,6 +188,17 @@ def test_instants_are_complete_or_waited_for_no_longer_than_an_image():
     assert not groups.late
     # and time may jump back
     assert groups.add(1, 0, 'b') == [] and groups.add(0, 0, 'a') == [(0, ['a', 'b'])]
+
+
+def test_images_of_one_camera_whose_stamps_stand_still_are_not_gathered():
+    groups, images = StampGroups(2), [np.zeros(1) for _ in range(3 * MOST_WAITING)]
+    alive = [weakref.ref(one) for one in images]
+    for k in range(len(images)):
+        groups.add(0, 0, images[k])
+        images[k] = None
+    assert sum(one() is not None for one in alive) <= MOST_WAITING
+    # with a clock it goes on, and the other camera is not waited for
+    assert groups.add(0, 10**9, 'a')[-1] == (10**9, ['a', None])
 
 
 def test_what_came_too_late_is_counted_and_dropped():
