@@ -15,6 +15,7 @@
 
 from dataclasses import dataclass
 import os
+import signal
 import sys
 
 from selfcal_ros.calibration.result import NotCalibrated
@@ -27,9 +28,12 @@ class Request:
     what: str
 
     def run(self):
-        """Answer with the process that runs it, fail, or die."""
+        """Answer with the process that runs it, fail, die, or never answer."""
         if self.what == 'fault':
             raise ValueError('of the program')
+        if self.what == 'endless':
+            print(os.getpid(), flush=True)
+            signal.pause()
         if self.what == 'death':
             os._exit(1)
         if self.what == 'loaded':

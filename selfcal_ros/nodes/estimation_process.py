@@ -25,6 +25,7 @@ from typing import Any, TYPE_CHECKING
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
+from selfcal_ros.pipeline.child_process import end_with
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -40,8 +41,8 @@ class EstimationProcess:
     A thread would share the interpreter: every call of the tracker that comes back from OpenCV
     would wait for up to five milliseconds until the estimate lets go.
 
-    The child ends with this process, however that ends: it reads from a pipe whose other end
-    nobody else holds.
+    The child ends with this process, however that ends. On Linux it does so at once, elsewhere
+    after the job at hand: it reads from a pipe whose other end nobody else holds.
     """
 
     def __init__(self) -> None:
@@ -52,7 +53,7 @@ class EstimationProcess:
     def _start(self) -> None:
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
-        child = context.Process(target=_work, args=(theirs,), daemon=True,
+        child = context.Process(target=_work, args=(theirs, os.getpid()), daemon=True,
                                 name='estimation')
         # it would be started on the way, and unblock the signals that are blocked below
         resource_tracker.ensure_running()
@@ -95,8 +96,9 @@ class EstimationProcess:
         return result
 
 
-def _work(pipe: Connection) -> None:
-    """Run jobs until the other end of the pipe is closed."""
+def _work(pipe: Connection, parent: int) -> None:
+    """Run jobs until the other end of the pipe is closed, or the parent has ended."""
+    end_with(parent)
     _yield_to_others()
     # now, and not when the first job waits
     load_estimator()

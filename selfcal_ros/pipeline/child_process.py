@@ -136,8 +136,17 @@ def _pass_on(stream: IO[bytes], broken_off: threading.Event) -> None:
                     print(line.decode(errors='replace'), end='', file=sys.stderr, flush=True)
 
 
-def _end_with(parent: int) -> None:
-    """Ask for SIGTERM when the parent ends, which also holds for what this process becomes."""
+def end_with(parent: int) -> None:
+    """
+    Ask for SIGTERM when the parent ends, which also holds for what this process becomes.
+
+    Parameters
+    ----------
+    parent : int
+        Number of the process that should be the parent. Where it has ended meanwhile, this one
+        ends at once.
+
+    """
     with suppress(AttributeError, OSError, TypeError):
         # where there is no prctl, the parent's own end must do
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(signal.SIGTERM), 0, 0, 0)
@@ -149,7 +158,7 @@ def _end_with(parent: int) -> None:
 def main() -> None:
     """Become the module that the command line names."""
     parent, *words = sys.argv[1:]
-    _end_with(int(parent))
+    end_with(int(parent))
     os.execv(sys.executable, [sys.executable, '-m', *words])
 
 

@@ -17,6 +17,8 @@ import json
 import os
 from pathlib import Path
 import signal
+import subprocess
+import sys
 import time
 
 from msg_adapters.tracks import tracks_from_message
@@ -126,6 +128,31 @@ def test_a_signal_ends_the_nodes_and_the_child_that_estimates(graph, launch, num
     while any(map(is_running, started)):
         assert time.monotonic() < deadline, 'a child is left behind'
         time.sleep(0.02)
+
+
+@pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason="needs Linux's /proc")
+def test_a_child_amid_an_estimate_ends_with_the_process_that_is_killed():
+    killed = subprocess.Popen(
+        [sys.executable, '-c',
+         'import time\n'
+         'from selfcal_ros.nodes.estimation_job import Job, JobKind\n'
+         'from selfcal_ros.nodes.estimation_process import EstimationProcess\n'
+         'from test_support.child_requests import Request\n'
+         'worker = EstimationProcess()\n'
+         'worker.submit(Job(JobKind.ESTIMATE, Request("endless")))\n'
+         'time.sleep(600)'], stdout=subprocess.PIPE, text=True)
+    child = int(killed.stdout.readline())
+    try:
+        killed.kill()
+        killed.wait()
+        deadline = time.monotonic() + 10
+        while is_running(child):
+            assert time.monotonic() < deadline, 'it goes on'
+            time.sleep(0.02)
+    finally:
+        if is_running(child):
+            os.kill(child, signal.SIGKILL)
+        killed.stdout.close()
 
 
 def test_the_command_line_names_the_nodes():
