@@ -173,7 +173,7 @@ class KltTracker:
     Parameters
     ----------
     most : int
-        Corners aimed at: one a cell of a grid with so many cells.
+        Corners aimed at: one a cell of a grid with so many cells. May be changed between images.
     least_correlation : float
         A point less alike to its first appearance is lost.
     mask : ImageMask, optional
@@ -243,6 +243,8 @@ class KltTracker:
         self._smooth = smooth = DoubledImage.smoothed(grey)
         if len(self._ids):
             self._follow(grey, smooth)
+        if self.most < self._searched[0]:
+            self._thin_out(self._cell_px(grey))
         self._replenish(grey, smooth)
         self._grey = grey
         return self._ids.copy(), self._xy.copy()
@@ -300,9 +302,21 @@ class KltTracker:
         self._anchors[rows] = self._xy[rows]
         self._affine[rows] = np.eye(2)
 
+    def _cell_px(self, grey: np.ndarray) -> int:
+        """Side of the cells of the grid."""
+        return max(12, int(np.sqrt(grey.size / self.most)))
+
+    def _thin_out(self, cell_px: int) -> None:
+        """Keep one point a cell: that which was followed longest."""
+        cells = (self._xy // cell_px).astype(int)
+        # ids ascend, and the first of each is kept
+        kept = np.zeros(len(cells), bool)
+        kept[np.unique(cells, axis=0, return_index=True)[1]] = True
+        self._keep(kept)
+
     def _replenish(self, grey: np.ndarray, smooth: DoubledImage) -> None:
         """Fill empty cells with new corners."""
-        cell = max(12, int(np.sqrt(grey.size / self.most)))
+        cell = self._cell_px(grey)
         self._searched_before += 1
         wanted = (self.most, self.mask)
         if (len(self._ids) > _STILL_FULL * self._full and wanted == self._searched

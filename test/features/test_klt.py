@@ -65,6 +65,20 @@ def test_points_cover_the_image_and_are_replenished(followed):
         assert len(cells) == 12
 
 
+def test_fewer_points_are_followed_from_the_image_on_where_fewer_are_asked_for(video):
+    tracker = KltTracker(most=400)
+    many, first = tracker.add(video[2][0])
+    tracker.add(video[2][1])
+    tracker.most = 60
+    ids, xy = tracker.add(video[2][2])
+    assert len(many) > 200 and 30 < len(ids) <= 80
+    # those that stay are the same points, and cover the image
+    assert np.isin(ids, many).mean() > 0.8 and (np.diff(ids) > 0).all()
+    assert len(np.unique((xy // [100, 100]).astype(int), axis=0)) == 12
+    further, _ = tracker.add(video[2][3])
+    assert np.isin(ids, further).mean() > 0.7
+
+
 def test_corners_leave_occupied_cells_alone(video):
     image = video[2][0]
     first = corners(image, 20)
