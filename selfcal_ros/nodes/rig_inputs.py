@@ -204,8 +204,10 @@ class RigInputs:
         return self._frames[0] or self._infos[0].frame_id
 
     def _on_image(self, which: int, msg: Message) -> None:
-        if not self._frames[which]:
-            self._frames[which] = msg.header.frame_id
+        frame = msg.header.frame_id
+        # a driver may come again with another
+        if frame and frame != self._frames[which]:
+            self._frames[which] = frame
             if self._by_tf:
                 self._look()
         for first, images in self._groups.add(which, stamp_ns(msg.header.stamp), msg):
@@ -223,7 +225,9 @@ class RigInputs:
 
     def _look(self) -> None:
         """Put the cameras into place once TF tells where each is."""
-        frames = [frame or info.frame_id for frame, info in zip(self._frames, self._infos)]
+        # TF has no slash before a frame
+        frames = [(frame or info.frame_id).lstrip('/')
+                  for frame, info in zip(self._frames, self._infos)]
         placed = []
         for k, (name, camera, frame) in enumerate(zip(self.names, self._cameras, frames)):
             if camera is None or not frame:

@@ -177,6 +177,31 @@ def test_places_come_from_tf_and_calibrations_from_camera_info(station, rig, mon
     assert np.rad2deg(angle.max()) < 0.5 and share.max() < 0.005
 
 
+def test_frames_have_a_slash_or_none_and_change_with_a_driver_that_comes_again(
+        station, rig, monkeypatch):
+    monkeypatch.setattr(rig_inputs, 'transform_type', lambda _: String)
+    station = station('cameras:=left,right')
+    node = station.add_node()
+    base = turned_camera(rig[1][1], 25.0).T_rig_camera
+    for one, name in zip(rig[1], NAMES):
+        for frame in (f'{name}_optical_frame', f'{name}_again'):
+            node._inputs._on_static(Transforms([transform_message(
+                (base @ one.T_rig_camera)[:3], header_message(0, 'base_link', station.types),
+                frame, station.types)]))
+    made = station.header
+    for k, frame in enumerate(['/{}_optical_frame'] * 2 + ['{}_again'] * 2):
+        station.header = lambda k, which, frame=frame: header_message(
+            stamp_ns(made(k, which).stamp), frame.format(NAMES[which]), station.types)
+        if k == 0:
+            station.send_infos()
+            station.graph.wait_for(lambda: not node._inputs.problem, what='the places')
+        station.send(k, 0)
+        station.send(k, 1)
+        station.wait_for_pose(k + 1)
+    assert [one.header.frame_id for one in station.poses] == [
+        '/left_optical_frame'] * 2 + ['left_again'] * 2
+
+
 @pytest.mark.skipif(find_spec('tf2_msgs') is None, reason='tf2_msgs is not installed')
 def test_places_come_from_a_publisher_of_tf_that_spoke_before(station, rig):
     from tf2_msgs.msg import TFMessage
