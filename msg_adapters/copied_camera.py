@@ -58,15 +58,18 @@ class CopiedCamera:
 
     def __post_init__(self) -> None:
         """Refuse what is no calibration."""
+        if not all(np.isfinite(values).all() for values in (self.d, self.K, self.R, self.P)):
+            raise InputError('The CameraInfo holds numbers that are not finite.')
         if not self.K[0, 0] or not (self.width and self.height):
             raise InputError('The CameraInfo holds no calibration (K[0], width or height is '
                              'zero).')
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and (self.K[2] == (0, 0, 1)).all()):
+            raise InputError('The K of the CameraInfo is no calibration matrix: its focal lengths '
+                             'must be positive, and its last row 0, 0, 1.')
         counts = COEFFICIENTS.get(self.model)
         if counts is not None and len(self.d) not in counts:
             raise InputError(f'The distortion model {self.model} has {counts[-1]} coefficients, '
                              f'not {len(self.d)}.')
-        if not all(np.isfinite(values).all() for values in (self.d, self.K, self.R, self.P)):
-            raise InputError('The CameraInfo holds numbers that are not finite.')
 
 
 def copied_camera(msg: Message) -> CopiedCamera:

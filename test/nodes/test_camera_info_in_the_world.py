@@ -281,6 +281,13 @@ def test_the_publisher_stands_in_for_a_driver_without_the_service(graph, tmp_pat
 
     refused = set_to(CameraInfo())
     assert not refused.success and 'no calibration' in refused.status_message
+    # a mirrored axis, and a K of another scale
+    for place, number in ((0, -520.0), (4, 0.0), (8, 2.0), (6, 1.0)):
+        wrong = camera_info_message(CAMERA, header(1), TYPES)
+        wrong.k[place] = number
+        refused = set_to(wrong)
+        assert not refused.success and 'no calibration matrix' in refused.status_message
+    assert not (tmp_path / 'ros_home/camera_info/camera.yaml').exists()
     assert set_to(camera_info_message(CAMERA, header(1), TYPES)).success
     message = camera_info_message(None, header(5), TYPES, (640, 480))
     assert exchange(graph, driver, message, infos).k[0] == 520
