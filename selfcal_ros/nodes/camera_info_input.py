@@ -75,7 +75,9 @@ class CameraInfoInput:
         self.problem = ''
         self._node.get_logger().info(
             f'calibration for {camera.width}x{camera.height} pixels: '
-            f'fx {camera.K[0, 0]:.1f}, fy {camera.K[1, 1]:.1f} px')
+            f'fx {camera.K[0, 0]:.1f}, fy {camera.K[1, 1]:.1f} px',
+            # a lens that zooms has another at every image
+            throttle_duration_sec=1.0)
         self._take(camera)
 
     def _refuse(self, problem: str) -> None:

@@ -17,6 +17,7 @@ import sys
 from types import ModuleType, SimpleNamespace
 
 import cv2
+from msg_adapters.camera_info import camera_info_message
 from msg_adapters.clouds import cloud_message
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.poses import transform_message
@@ -28,6 +29,7 @@ from rcl_interfaces.msg import Log
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibrator_node import CalibratorNode
+from selfcal_ros.nodes.camera_info_input import CameraInfoInput
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
 from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from selfcal_ros.nodes.launch_arguments import launch_problem, shared_topic_problem
@@ -195,3 +197,13 @@ def test_a_bad_static_transform_costs_the_cameras_of_a_rig_nothing():
     inputs._on_static(SimpleNamespace(transforms=sent))
     assert looked == [['base', 'left', 'right']]
     assert said[0].startswith('/tf_static: gripper in base at 0.000 s: The quaternion')
+
+
+def test_a_camera_that_zooms_does_not_fill_the_log(graph, capfd):
+    taken = []
+    heard = CameraInfoInput(graph().probe, 'camera_info', taken.append)
+    for k in range(100):
+        heard._hear(camera_info_message(Camera(np.diag([500.0 + k, 500.0 + k, 1.0]), (), 640, 480),
+                                        header_message(k, 'eye', TYPES), TYPES))
+    assert len(taken) == 100 and taken[-1].K[0, 0] == 599
+    assert 1 <= capfd.readouterr().err.count('calibration for 640x480 pixels') < 10
