@@ -359,6 +359,10 @@ def _names(host: str, is_local: bool) -> frozenset[str]:
 
 def _bind(host: str, port: int) -> list[socket.socket]:
     """Return sockets on the first of some ports that is free."""
+    if not host:
+        # to the library that is every address of this machine
+        raise ArgumentError("Cannot serve the live page on '': give an address, such as "
+                            '127.0.0.1 for this machine only, or 0.0.0.0 for all that reach it.')
     family = socket.AF_INET if ':' not in host else socket.AF_INET6
     for number in (port,) if port == 0 else range(port, min(port + MORE_PORTS, 65536)):
         try:

@@ -200,7 +200,7 @@ def test_a_port_that_is_taken_is_passed_over_and_a_wrong_address_is_a_sentence(s
     other = PageServer('127.0.0.1', taken, lambda action: Future())
     other.close()
     assert urlsplit(other.url).port > taken
-    for host in ('192.0.2.1', 'no such host', 'x' * 300):
+    for host in ('192.0.2.1', 'no such host', 'x' * 300, ''):
         with pytest.raises(ArgumentError, match='Cannot serve the live page on'):
             PageServer(host, 0, lambda action: Future())
     assert set(threading.enumerate()) <= running
