@@ -176,7 +176,11 @@ def run_nodes(make_nodes: Callable[[], list[Node]], args: list[str] | None = Non
     from selfcal_ros.errors import SelfcalError
     from selfcal_ros.nodes.parameter_words import in_parameters
     from selfcal_ros.nodes.shared_memory import sweep
-    from selfcal_ros.nodes.start_failure import start_failure, unheard
+    from selfcal_ros.nodes.start_failure import domain_problem, start_failure, unheard
+    problem = domain_problem(os.environ.get('ROS_DOMAIN_ID', ''))
+    if problem:
+        print(problem, file=sys.stderr)
+        return 2
     sweep()
     try:
         with unheard():

@@ -24,6 +24,8 @@ import re
 _PARAMETERS = re.compile(r"Couldn't parse params file: '--params-file (.*?)'\. Error: (.*)", re.S)
 _RULE = re.compile(r"Couldn't parse (remap|parameter override) rule: '-[rp] (.*?)'\.", re.S)
 _PLACE = re.compile(r', at \S+\.c(?:pp)?:\d+')
+#: Domains are numbered up to here; their ports would not fit otherwise.
+LAST_DOMAIN = 232
 #: How each kind of rule is written.
 _FORMS = {'remap': '-r FROM:=TO', 'parameter override': '-p NAME:=VALUE'}
 
@@ -37,6 +39,23 @@ def unheard() -> Iterator[None]:
         yield
     finally:
         set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def domain_problem(given: str) -> str:
+    """
+    Say why there is no such domain; '' if there is one, or ROS says itself what is wrong.
+
+    Fast DDS ends the process where the ports of a domain would be beyond 65535.
+
+    Parameters
+    ----------
+    given : str
+        The variable ROS_DOMAIN_ID.
+
+    """
+    if not given.strip().isdecimal() or int(given) <= LAST_DOMAIN:
+        return ''
+    return f'ROS_DOMAIN_ID must be from 0 to {LAST_DOMAIN}, not {given.strip():.20}.'
 
 
 def start_failure(error: Exception) -> str:

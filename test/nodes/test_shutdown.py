@@ -152,6 +152,11 @@ def test_a_wrong_input_is_one_sentence_and_status_2(ended, name, arguments, word
     assert errors.count('\n') == 1
 
 
+def test_a_domain_that_cannot_be_is_one_sentence_and_status_2(ended, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '233')
+    assert ended('feature_tracker') == (2, 'ROS_DOMAIN_ID must be from 0 to 232, not 233.\n')
+
+
 @pytest.mark.parametrize('name', ['feature_tracker', 'planar_calibrator', 'affine_calibrator',
                                   'rorapid_tracker', 'bag_player', 'camera_info_publisher',
                                   'calibration_page', 'composition'])
