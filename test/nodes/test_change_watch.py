@@ -41,7 +41,8 @@ START_NS, STEP_NS = 1_700_000_000_000_000_000, 200_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Calibrated once, with the first sixteen views; every view is a keyframe.
 OPTIONS = ('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=16', '-p',
-           'max_keyframes:=16', '-p', 'idle_s:=600.0', '-p', 'distortion:=none')
+           'max_keyframes:=16', '-p', 'idle_s:=600.0', '-p', 'silence_s:=600.0', '-p',
+           'distortion:=none')
 ZOOMED_AT, VIEWS = 34, 70
 
 
