@@ -36,6 +36,7 @@ from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
+from test_support.diagnostics_table import not_written
 
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 200_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -115,6 +116,7 @@ def test_a_zoom_warns_and_replaces_nothing_until_it_is_told_to(zoomed):
     assert '~/calibrate' in message and '~/reset' in message
     change, sigma = (float(values[f'change of focal length px{s}']) for s in ('', ' sigma'))
     assert abs(change - 10.4) < 4 * sigma
+    assert not not_written(values)
     # the calibration stands, and so does the warning
     assert len(zoomed.calibrations()) == 1
     zoomed.publish(range(60, VIEWS))

@@ -40,6 +40,7 @@ from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
+from test_support.diagnostics_table import not_written
 
 
 @pytest.mark.parametrize('url, path', [
@@ -122,6 +123,7 @@ def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path
     message, values = told()
     assert f'the calibration of {path} is in force' in message
     assert values['calibration file'] == str(path) and values['file fx'] == '500'
+    assert not not_written(values)
     # another program's file tells no sigma, and nothing was estimated or saved by this run
     assert not {'file fx sigma', 'fx', 'fx sigma', 'saved', 'saved at'} & set(values)
     answer = graph.call('planar_calibrator/save')
@@ -138,6 +140,7 @@ def test_a_stored_calibration_brings_its_sigmas(tmp_path):
     write_camera_yaml(path, camera, 'front', uncertainty_comment(camera, np.diag(sigma ** 2)))
     stored = StoredCamera(CalibrationFile('front', str(path)), getLogger('test'))
     values = stored.values()
+    assert not not_written(values)
     names = camera.parameter_names
     np.testing.assert_allclose([values[f'file {name} sigma'] for name in names], sigma)
     np.testing.assert_allclose([values[f'file {name}'] for name in names], camera.parameters)

@@ -24,6 +24,7 @@ from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode, MOST_WAITING
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from test_support import image_stream
+from test_support.diagnostics_table import not_written
 
 
 def count_of(numbers, **how):
@@ -98,6 +99,7 @@ def test_images_without_time_get_their_camera_info_and_the_cause_is_said(graph, 
                 for status in msg.status if status.name == 'feature_tracker: images']
 
     graph.wait_for(lambda: values() and values()[-1]['no time for'] == '4')
+    assert not not_written(values()[-1])
     assert sum('still worked on' in text for text in said) == 1
 
 

@@ -35,6 +35,7 @@ from selfcal_ros.synthetic.objects import pose_errors
 from selfcal_ros.synthetic.several_cameras import object_before_cameras, turned_camera
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
+from test_support.diagnostics_table import not_written
 from test_support.node_interfaces import has, written
 
 VIEWS, NAMES = 12, ('left', 'right')
@@ -140,6 +141,7 @@ def test_one_pose_of_both_cameras_and_of_one_where_the_other_is_silent(station, 
     station.graph.wait_for(lambda: station.diagnostics and 'seen by right' in station.status)
     assert station.status['seen by left'] == station.status['seen by right'] == 'True'
     assert 'distances between the cameras' in station.status['size of the object']
+    assert not not_written(station.status)
     station.graph.wait_for(lambda: station.drawn, what='overlay of the right camera')
     # the right one falls silent: it is waited for by 0.1 s of stamps, and then no longer
     for k in range(6, VIEWS):

@@ -36,6 +36,7 @@ from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
 from selfcal_ros.synthetic.several_objects import objects_beside
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
+from test_support.diagnostics_table import not_written
 from visualization_msgs.msg import MarkerArray
 
 VIEWS = 12
@@ -156,6 +157,7 @@ def test_files_and_parameters_start_it_without_any_message(station, recording, t
     station.graph.wait_for(lambda: any('found' in str(msg) or msg.status[0].message == 'tracking'
                                        for msg in station.diagnostics), what='diagnostics')
     status = station.diagnostics[-1].status[0]
+    assert not not_written(one.key for one in status.values)
     assert status.hardware_id == 'front'
 
 
