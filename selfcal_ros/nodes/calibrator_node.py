@@ -119,6 +119,9 @@ class CalibratorNode(Node):
         self._rivals = RivalPublishers(
             self, lambda: [self._camera_info.topic_name],
             'whoever listens gets both; remap camera_info of this node, or end the other')
+        self._mixed = RivalPublishers(
+            self, lambda: self._topics() + self._robot.topics,
+            'what they say is mixed here; end all but one, or remap the input')
         self.create_service(Trigger, '~/calibrate', self._on_calibrate)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/save', self._on_save)
@@ -350,7 +353,8 @@ class CalibratorNode(Node):
         if self._serves_file and self._stored is not None:
             text = f'the calibration of {self._stored.path} is in force; {text}'
             values |= self._stored.values()
-        complaint = self._rivals.complaint or self._loss() or self._robot.complaint()
+        complaint = (self._mixed.complaint or self._rivals.complaint or self._loss()
+                     or self._robot.complaint())
         values |= self._robot.values()
         calibration = self._session.calibration
         values |= mount_values(calibration.mount if calibration else None)

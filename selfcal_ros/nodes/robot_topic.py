@@ -108,6 +108,13 @@ class RobotTopic:
             self._kind = 'tf2_msgs/msg/TFMessage'
         node.create_timer(0.25, self._look, clock=STEADY)
 
+    @property
+    def topics(self) -> list[str]:
+        """Resolved name of the topic that one robot alone should speak on; TF has many."""
+        if self.robot is None or self.robot.source.frames is not None:
+            return []
+        return [self._node.resolve_topic_name(self._topic)]
+
     def _look(self) -> None:
         """Listen to who publishes the topic, and keep within bounds."""
         robot = self.robot

@@ -13,12 +13,16 @@
 # limitations under the License.
 """Two publishers where there should be one: who they are is said, and one camera is kept to."""
 
+from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.tracks import tracks_from_message
+from nav_msgs.msg import Odometry
 import pytest
 from rclpy.node import Node
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.pipeline.size_guard import MIXED_S, PATIENCE_S, SizeGuard
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_support import image_stream
@@ -67,6 +71,24 @@ def test_a_second_publisher_of_our_camera_info_is_named(graph, monkeypatch):
     driver.destroy_publisher(theirs)
     graph.wait_for(lambda: not ours._rivals.complaint)
     assert len(said) == 1
+
+
+def test_two_trackers_or_two_robots_on_one_topic_are_named(graph, monkeypatch):
+    graph = graph('-p', 'silence_s:=600.0', '-p', 'robot:=/odom')
+    ours = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
+    statuses, said = graph.listen(DiagnosticArray, '/diagnostics'), []
+    monkeypatch.setattr(type(ours.get_logger()), 'warning',
+                        lambda self, text, **_: said.append(text))
+    other = graph.add(Node('base', namespace='right'))
+    for kind, topic in ((PointCloud2, '/tracks'), (Odometry, '/odom')):
+        theirs = [node.create_publisher(kind, topic, 10) for node in (graph.probe, other)]
+        sentence = (f'{topic} has 2 publishers (/probe, /right/base): what they say is mixed '
+                    'here; end all but one, or remap the input')
+        graph.wait_for(lambda: sentence in said, what=sentence)
+        graph.wait_for(lambda: statuses and statuses[-1].status[0].message.startswith(sentence))
+        assert statuses[-1].status[0].level == b'\x01'
+        graph.probe.destroy_publisher(theirs[0])
+        other.destroy_publisher(theirs[1])
 
 
 def test_two_cameras_on_one_topic_are_named_once_and_one_is_followed(graph, monkeypatch):
