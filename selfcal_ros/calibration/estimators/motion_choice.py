@@ -173,10 +173,15 @@ def _is_clearly_path(so_far: MotionsSeen) -> bool:
 
 
 def _hides_plane(so_far: MotionsSeen) -> bool:
-    """Tell whether no pair shows parallax, and neither a path nor rotations explain the views."""
+    """
+    Tell whether no pair shows parallax, and neither a path nor rotations explain the views.
+
+    One plane that was tried of all tracks already would be tried again, to the same end.
+    """
     rotating, case = so_far.rotating, so_far.case
     return (not so_far.path and case.graph.parallax < PARALLAX_RATIO
-            and (not rotating or case.leaves_much(rotating)))
+            and (not rotating or case.leaves_much(rotating))
+            and not (so_far.plane is not None and case.is_all_in_plane))
 
 
 # What they do.

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit
 from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.geometry.camera import Camera
@@ -156,6 +157,15 @@ class MovingCamera:
     def in_plane(self) -> ViewGraph | None:
         """The views by the tracks of one plane, where most are in one."""
         return on_one_plane(self.graph)
+
+    @property
+    def is_all_in_plane(self) -> bool:
+        """Tell whether the views by the tracks of one plane are those by all tracks, no less."""
+        every, plane = self.graph, self.in_plane
+        return (plane is not None and len(plane.tracks) == len(every.tracks)
+                and [len(pair.track) for pair in plane.pairs] == [
+                    len(pair.track) for pair in every.pairs]
+                and max(plane.noise_px, LEAST_NOISE_PX) == max(every.noise_px, LEAST_NOISE_PX))
 
     def rotations(self) -> RotationFit | NoEstimate:
         """Fit rotations alone."""
