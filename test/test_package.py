@@ -26,6 +26,7 @@ import xml.etree.ElementTree as ElementTree
 import msg_adapters
 import pytest
 import selfcal_ros
+from test_support.syntax_trees import trees_in
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -103,13 +104,13 @@ ASKS = {'namedWindow', 'waitKey', 'waitKeyEx', 'selectROI', 'input', 'getpass', 
 @pytest.mark.parametrize('folder', ['selfcal_ros', 'msg_adapters', 'launch'])
 def test_nothing_opens_a_window_or_asks_at_the_keyboard(folder):
     found = []
-    for path in (ROOT / folder).rglob('*.py'):
-        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+    for path, tree in trees_in(ROOT / folder).items():
+        for node in ast.walk(tree):
             called = getattr(node, 'func', None)
             names = {getattr(called, 'attr', None), getattr(called, 'id', None)}
             if isinstance(node, ast.ImportFrom | ast.Import):
                 names = {alias.name.rpartition('.')[2] for alias in node.names}
-            elif isinstance(node, ast.Attribute):
+            elif isinstance(node, ast.Attribute) and node.attr in ('stdin', 'imshow'):
                 names = {ast.unparse(node)} & {'sys.stdin', 'cv2.imshow'}
             found += [f'{path.name}: {name}' for name in names
                       if name in ASKS | {'sys.stdin', 'cv2.imshow'}]

@@ -164,7 +164,7 @@ def test_shared_files_are_found_and_a_missing_one_is_a_sentence():
         shared_file('config/no_such_file')
 
 
-def test_demo_without_nodes_prints_the_truth_beside_the_estimate(capsys):
+def test_demo_without_nodes_prints_the_truth_beside_the_estimate(capsys, without_figures):
     assert selfcal('demo', '--no-ros', '--output-dir', 'out') == 0
     said = capsys.readouterr().out
     assert 'truth' in said and 'sigmas' in said and '520.000' in said

@@ -11,6 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+from functools import cache
 import time
 
 import numpy as np
@@ -29,8 +30,10 @@ from selfcal_ros.synthetic.object_shapes import cube, spool, step_block
 from selfcal_ros.synthetic.render import Renderer, Scene
 
 
-#: Its faces are drawn texel by texel, once.
-CUBE = cube(1.0).model
+@cache
+def _cube():
+    """Return a cube; its faces are drawn texel by texel, once, and not to collect the tests."""
+    return cube(1.0).model
 
 
 def _star(arms=5, height=0.6):
@@ -46,19 +49,26 @@ def _star(arms=5, height=0.6):
 
 def _open_box():
     """Return a box without a lid: its faces are seen from both sides."""
-    return WireframeModel.build(CUBE.vertices[:8], (), [
-        face for k, face in enumerate(CUBE.faces) if k != 4])
+    return WireframeModel.build(_cube().vertices[:8], (), [
+        face for k, face in enumerate(_cube().faces) if k != 4])
 
 
 def _two_boxes():
     """Return two boxes that share a part of a wall."""
-    other = CUBE.vertices[:8] * [1, 0.6, 0.5] + [1.0, 0.1, -0.25]
-    faces = list(CUBE.faces) + [Polygon([i + 8 for i in face.indices]) for face in CUBE.faces]
-    return WireframeModel.build(np.concatenate([CUBE.vertices[:8], other]), (), faces)
+    one = _cube()
+    other = one.vertices[:8] * [1, 0.6, 0.5] + [1.0, 0.1, -0.25]
+    faces = list(one.faces) + [Polygon([i + 8 for i in face.indices]) for face in one.faces]
+    return WireframeModel.build(np.concatenate([one.vertices[:8], other]), (), faces)
 
 
-SOLIDS = {'cube': CUBE, 'step': step_block(1.0).model, 'star': _star(),
-          'open': _open_box(), 'two': _two_boxes()}
+SOLIDS = {'cube': _cube, 'step': lambda: step_block(1.0).model, 'star': _star, 'open': _open_box,
+          'two': _two_boxes}
+
+
+@cache
+def solid(name):
+    """Return one of the solids."""
+    return SOLIDS[name]()
 
 
 def _winding_number(point, polygon):
@@ -94,7 +104,7 @@ def _poses(rng, count, low, high):
 
 @pytest.mark.parametrize('name', SOLIDS)
 def test_what_is_hidden_is_what_a_ray_meets(name):
-    model, rng = SOLIDS[name], np.random.default_rng(1)
+    model, rng = solid(name), np.random.default_rng(1)
     seen = VisibleModel(model, 5, 7)
     hidden_points = 0
     for R, t in _poses(rng, 25, 2.0, 8.0):
@@ -181,7 +191,7 @@ def test_a_cylinder_hides_what_is_behind_it():
 
 
 def test_contours_have_the_background_on_one_side():
-    seen = VisibleModel(SOLIDS['cube'], 3)
+    seen = VisibleModel(solid('cube'), 3)
     points = seen.control_points(np.eye(3), [0.0, 0.0, 3.0])
     # seen head-on, only the nearest face with its marking shows
     assert {np.round(p[2], 6) for p in points.object_points} == {-0.5}
@@ -232,7 +242,7 @@ def test_small_lines_and_faces_are_left_out_when_the_focal_length_is_known():
 
 @pytest.mark.parametrize('name', SOLIDS)
 def test_the_table_gives_the_same_answers(name):
-    model, rng = SOLIDS[name], np.random.default_rng(4)
+    model, rng = solid(name), np.random.default_rng(4)
     table = VisibilityTable(model, 2.5, 6.0, subdivisions=2, control_points_per_line=5)
     direct = VisibleModel(model, control_points_per_line=5)
     assert 0.3 < table.share_decided <= 1
@@ -247,7 +257,7 @@ def test_the_table_refuses_what_cannot_be():
         VisibilityTable(_star(80), 1, 2, subdivisions=4)
     for arguments in ((0, 1), (2, 1), (1, np.inf), (1, np.nan), (1, 2, 9)):
         with pytest.raises(ArgumentError):
-            VisibilityTable(SOLIDS['cube'], *arguments)
+            VisibilityTable(solid('cube'), *arguments)
 
 
 def test_a_model_that_is_too_large_is_refused_before_memory_runs_out():
@@ -290,7 +300,7 @@ def test_polygons_are_cut_into_triangles_that_cover_them():
 
 def test_a_cube_takes_less_than_a_millisecond():
     # a third of that on an idle machine; the best of many, since others use it too
-    seen = VisibleModel(SOLIDS['cube'])
+    seen = VisibleModel(solid('cube'))
     R = Rotation.from_rotvec([0.5, 0.6, 0.1]).as_matrix()
     best = np.inf
     for _ in range(50):
