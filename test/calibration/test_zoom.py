@@ -259,7 +259,7 @@ def test_a_true_zoom_among_many_gross_errors_is_refused():
 def test_rows_read_in_turn_that_seem_to_zoom_among_gross_errors_are_refused_in_a_sentence():
     # without facts a shutter is found, and a zoom is doubted: tracks cannot be parted then
     rng = np.random.default_rng([0, 16])
-    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=150), np.linspace(0.95, 1.1, VIEWS), rng)
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=60), np.linspace(0.95, 1.1, VIEWS), rng)
     with_outliers(sequence, rng, 0.08)
     tracks = with_outliers(sequence, rng, 0.3).tracks
     result = calibrate(tracks, motion='planar', facts=CameraFacts(distortion='radial2'))
