@@ -71,7 +71,9 @@ def change_of_light(contrast: np.ndarray, wanted: np.ndarray) -> float:
     if len(known) < _LIGHT_PLACES or len(known) < _LIGHT_AGREE * np.count_nonzero(wanted):
         return 1.0
     change = np.log(contrast[known] / wanted[known])
-    common = float(np.median(change))
+    inorder = np.sort(change)
+    # np.median takes ten times as long on so few
+    common = float(0.5 * (inorder[(len(inorder) - 1) // 2] + inorder[len(inorder) // 2]))
     agree = np.mean(np.abs(change - common) < np.log(_LIGHT_LIKE))
     return float(np.exp(common)) if agree >= _LIGHT_AGREE and abs(common) < _MOST_LIGHT else 1.0
 

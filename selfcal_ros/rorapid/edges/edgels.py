@@ -133,11 +133,13 @@ def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float
     else:
         best = np.argsort(score, axis=1)[:, :-candidates - 1:-1]
     row = np.arange(len(profiles))[:, None]
-    found = score[row, best] > 0
-    left, middle, right = size[row, best], size[row, best + 1], size[row, best + 2]
+    # `take` is several times as fast as a pair of indices
+    found = score.take(best + row * score.shape[1]) > 0
+    at = best + row * size.shape[1]
+    left, middle, right = size.take(at), size.take(at + 1), size.take(at + 2)
     bend = left - 2 * middle + right
     with np.errstate(divide='ignore', invalid='ignore'):
         shift = np.where(bend < 0, 0.5 * (left - right) / bend, 0.0)
     reach = (centre.shape[1] - 1) // 2
     return Edgels(np.where(found, best - reach + shift, np.nan).astype(float),
-                  np.where(found, slope[row, best + 1], 0.0).astype(float))
+                  np.where(found, slope.take(at + 1), 0.0).astype(float))

@@ -68,6 +68,8 @@ def without_free(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def _apart(covariance: np.ndarray, free: np.ndarray, sigma: float) -> np.ndarray:
+    if not free.size:
+        return covariance
     keep = apart_from(free)
     result: np.ndarray = keep @ covariance @ keep.T + sigma**2 * free @ free.T
     return result

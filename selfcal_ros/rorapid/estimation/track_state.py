@@ -222,5 +222,9 @@ def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement, free: np.ndar
 
     Turns that no image of the shape could show, free (size, k), do not count.
     """
+    if len(basis) != 6:
+        return False
     full = without_free(basis @ measured.covariance @ basis.T, free)[:3, :3]
-    return len(basis) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
+    # no eigenvalue is larger than their sum
+    return bool(np.trace(full) > _OPEN_RAD**2
+                and np.linalg.eigvalsh(full)[-1] > _OPEN_RAD**2)

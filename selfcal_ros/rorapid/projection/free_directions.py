@@ -39,6 +39,8 @@ def free_at(turns: np.ndarray, state: ObjectPose, projection: Projection) -> np.
 
     """
     size = projection.size
+    if not len(turns):
+        return np.zeros((size, 0))
     turns = turns if size < 8 else turns[:0]
     out = np.zeros((size, len(turns)))
     out[:3] = state.rotation @ turns[:, :3].T

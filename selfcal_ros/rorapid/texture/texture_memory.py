@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -80,6 +81,14 @@ class TextureMatches:
     corner: np.ndarray
     score: np.ndarray
     common: np.ndarray | None = None
+
+
+class _PlacedFace(NamedTuple):
+    """A face in a region: how texels become pixels, and its box (left, top, right, bottom)."""
+
+    face: Face
+    homography: np.ndarray
+    box: tuple[int, int, int, int]
 
 
 class TextureMemory:
@@ -196,7 +205,9 @@ class TextureMemory:
         """
         visible = self._see(state)
         faces = [k for k in np.flatnonzero(visible) if self._faces[k].seen]
-        drawing, points, und, owner = self._draw(faces, state, region)
+        if not any((self._faces[k].score > MIN_SCORE).any() for k in faces):
+            return None
+        placed, points, und, owner = self._place(faces, state, region)
         if not len(points):
             return None
         start = region.inside(self.projection.project(state, points).pixels)
@@ -211,16 +222,15 @@ class TextureMemory:
             rank = np.argsort(owner[pick, 1], kind='stable')[:most]
             pick = pick[rank]
         points, und, start, owner = points[pick], und[pick], start[pick], owner[pick]
-        found, good = follow_corners(drawing, region.image, und, start, levels)
+        found, good = follow_corners(self._draw(placed, region), region.image, und, start, levels)
         return TextureMatches(points, region.outside(found), good,
                               owner[:, 0], owner[:, 1], self._scores(owner))
 
-    def _draw(self, faces: Iterable[int | np.integer], state: ObjectPose, region: Region,
-              ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Draw faces; return the drawing and their corners: object frame, pixels, which."""
+    def _place(self, faces: Iterable[int | np.integer], state: ObjectPose, region: Region,
+               ) -> tuple[list[_PlacedFace], np.ndarray, np.ndarray, np.ndarray]:
+        """Place faces in a region; return them and their corners: object frame, pixels, which."""
         height, width = region.image.shape
-        # elsewhere the image itself: what is not the object shall not pull at its corners
-        drawing = region.image.copy()
+        placed = []
         points, pixels, owner = [np.zeros((0, 3))], [np.zeros((0, 2))], [np.zeros((0, 2), int)]
         for k in faces:
             face = self._faces[k]
@@ -234,6 +244,21 @@ class TextureMemory:
                                  (width, height)).astype(int).tolist()
             if right <= x or low <= y:
                 continue
+            placed.append(_PlacedFace(face, H, (x, y, right, low)))
+            good = np.flatnonzero(face.score > MIN_SCORE)
+            if len(good):
+                at = face.texels[good] @ H[:, :2].T + H[:, 2]
+                points.append(face.points[good])
+                pixels.append(at[:, :2] / at[:, 2:])
+                owner.append(np.column_stack([np.full(len(good), k), good]))
+        return placed, np.concatenate(points), np.concatenate(pixels), np.concatenate(owner)
+
+    def _draw(self, placed: Iterable[_PlacedFace], region: Region) -> np.ndarray:
+        """Draw faces over a region, one after the other."""
+        height, width = region.image.shape
+        # elsewhere the image itself: what is not the object shall not pull at its corners
+        drawing = region.image.copy()
+        for face, H, (x, y, right, low) in placed:
             if face.whole and face.all_known:
                 part = H - np.outer([x, y, 0], H[2])
                 cv2.warpPerspective(face.picture, part, (right - x, low - y),
@@ -244,12 +269,7 @@ class TextureMemory:
                 mask = cv2.warpPerspective(face.mask & face.known, H, (width, height),
                                            flags=cv2.INTER_NEAREST)
                 cv2.copyTo(drawn, mask, drawing)
-            good = np.flatnonzero(face.score > MIN_SCORE)
-            at = face.texels[good] @ H[:, :2].T + H[:, 2]
-            points.append(face.points[good])
-            pixels.append(at[:, :2] / at[:, 2:])
-            owner.append(np.column_stack([np.full(len(good), k), good]))
-        return drawing, np.concatenate(points), np.concatenate(pixels), np.concatenate(owner)
+        return drawing
 
     def _scores(self, owner: np.ndarray) -> np.ndarray:
         """Scores of corners (face, corner)."""

@@ -37,6 +37,8 @@ ON_FACE = 5e-4
 MAX_TESTS = 50_000_000
 #: Numbers in the largest array that the test may make.
 _LARGEST = 2_000_000
+#: Coordinates after and before x, y, z in turn.
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def check_size(model: WireframeModel, control_points_per_line: int, per_conic: int) -> None:
@@ -352,5 +354,6 @@ class VisibleModel:
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products of rows (N, 3); numpy's own is slow on small arrays."""
-    cross: np.ndarray = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    cross: np.ndarray = (a.take(_NEXT, 1) * b.take(_LAST, 1)
+                         - a.take(_LAST, 1) * b.take(_NEXT, 1))
     return cross
