@@ -20,9 +20,9 @@ import pytest
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
 from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer, ring
 from selfcal_ros.synthetic.objects import object_poses, perturbed
@@ -277,6 +277,24 @@ def test_a_rim_before_another_part_is_searched_but_need_not_show():
     assert np.diff(turn, append=turn[0] + 2 * np.pi).max() < np.deg2rad(25)
     outline = points.object_points[points.primitive >= visible.limb]
     assert np.linalg.norm(outline, axis=1) == pytest.approx(0.06, rel=0.01)
+
+
+@pytest.mark.parametrize('method', ('rorapid', 'rapid'))
+def test_the_methods_of_the_thesis_follow_creases_of_any_length(method):
+    """A sheet of 12 by 7 cm: its sides have as many control points as they are long."""
+    vertices = np.array([[-0.06, -0.035, 0], [0.06, -0.035, 0], [0.06, 0.035, 0],
+                         [-0.06, 0.035, 0]])
+    faces = np.array([[0, 2, 1], [0, 3, 2]])
+    model, drawn = MeshModel.build(vertices, faces, 'sheet'), MeshRenderer(vertices, faces, CAMERA)
+    tracker = RorapidTracker(model, CAMERA, TrackerOptions(method=method))
+    for k in range(6):
+        pose = np.column_stack([rotation_matrix([0.5, 0.3 + 0.01 * k, 0.2]), [0.002 * k, 0, 0.4]])
+        if not k:
+            tracker.start(pose[:, :3], pose[:, 3] + [0.002, -0.001, 0.003])
+        found = tracker.track(drawn.render(pose, np.random.default_rng(k), 1.0))
+        assert found.state is TrackerState.TRACKING
+    turn = np.linalg.norm(rotation_vector(found.rotation @ pose[:, :3].T))
+    assert turn < np.deg2rad(2) and np.linalg.norm(found.translation - pose[:, 3]) < 0.002
 
 
 @lru_cache(maxsize=None)

@@ -61,8 +61,8 @@ class RapidTracker:
         primitives = len(control.is_conic)
         self._least = np.where(control.is_conic, options.least_per_conic, options.least_per_line)
         # place of each control point in its primitive
-        counts = np.where(control.is_conic, options.control_points_per_conic,
-                          options.control_points_per_line)
+        # a crease of a mesh has as many as it is long
+        counts = control.visible_model.counts
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
         self._primitive = np.repeat(np.arange(primitives), counts)
         self._place = np.arange(control.size) - first[self._primitive]
