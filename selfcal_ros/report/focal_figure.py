@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.style import BLUE, Drawing, figure_of, GREY, new_panel, styled
+from selfcal_ros.report.style import (BLUE, counted_along_x, Drawing, figure_of, GREY, new_panel,
+                                      styled)
 
 
 def focal_figure(result: Calibration) -> Drawing | None:
@@ -45,7 +46,7 @@ def focal_figure(result: Calibration) -> Drawing | None:
         axes.fill_between(course.frames, course.fx - 2 * course.sigma,
                           course.fx + 2 * course.sigma, color=BLUE, alpha=0.3, linewidth=0,
                           label='± 2 σ')
-        axes.set_xlabel('image')
+        counted_along_x(axes, 'image')
         axes.set_ylabel('fx / px')
         axes.set_title('Focal length over the recording')
         axes.spines[['top', 'right']].set_visible(False)

@@ -25,7 +25,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.pipeline.many_inputs import CameraSummary
-from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
+from selfcal_ros.report.style import BLUE, counted_along_x, GREY, ORANGE, PALE, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,8 +119,8 @@ def _places(camera: CameraSummary, shown: Sequence[int]) -> tuple[np.ndarray, bo
 
 def _label_places(axis: Axes, camera: CameraSummary, shown: Sequence[int], timed: bool) -> None:
     """Say what the places are."""
-    from matplotlib import dates, ticker
     if timed:
+        from matplotlib import dates
         locator = dates.AutoDateLocator(maxticks=10, tz=timezone.utc)
         axis.xaxis.set_major_locator(locator)
         axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=timezone.utc))
@@ -129,5 +129,4 @@ def _label_places(axis: Axes, camera: CameraSummary, shown: Sequence[int], timed
         names = [outcome.path.rstrip('/').rpartition('/')[2][:24] for outcome in camera.outcomes]
         axis.set_xticks(range(1, len(names) + 1), names, rotation=20, ha='right')
     else:
-        axis.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
-        axis.set_xlabel('recording')
+        counted_along_x(axis, 'recording')

@@ -22,8 +22,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_path
 from selfcal_ros.geometry.rotation import roll_pitch_yaw
-from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, new_panel, ORANGE,
-                                      styled)
+from selfcal_ros.report.style import (BLUE, counted_along_x, Drawing, figure_of, GREEN, GREY,
+                                      new_panel, ORANGE, styled)
 from selfcal_ros.values.tracks import Tracks
 
 #: Body axes (REP 103: x forward, y left, z up) from optical ones (x right, y down, z forward).
@@ -124,7 +124,10 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
             axes.axhline(0.0, color=GREY, linewidth=0.7)
             for column, name, colour in zip(values.T, names, (BLUE, ORANGE, GREEN)):
                 axes.plot(course.time, column, f'{dots}-', color=colour, linewidth=1, label=name)
-            axes.set_xlabel('time / s' if course.in_seconds else 'image')
+            if course.in_seconds:
+                axes.set_xlabel('time / s')
+            else:
+                counted_along_x(axes, 'image')
             axes.set_ylabel(label)
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import MaxNLocator
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
@@ -210,12 +211,13 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
                               cmap=SEQUENTIAL, interpolation='nearest', vmin=0)
         image_axes(axes, *size)
         axes.set_facecolor(PALE)
-        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02,
+                                   ticks=MaxNLocator('auto', integer=True))
         bar.set_label('observations')
         bar.outline.set_edgecolor(GREY)
         axes.set_title('Observations in cells')
     empty = float(np.mean(count == 0))
     caption = ('There are observations all over the image.' if empty < 0.005 else
-               f'{100 * empty:.0f} % of the image has no observation; distortion is extrapolated '
-               'there.')
+               f'{100 * empty:.0f} % of the image has no observation. A calibration extrapolates '
+               'the distortion there.')
     return Drawing('coverage', 'Coverage of the image', caption, (figure_of(axes),), 'seen')

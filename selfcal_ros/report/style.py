@@ -27,6 +27,7 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,6 +106,11 @@ def _for_a_file(figure: Figure, settings: dict[str, Any] | None = None) -> Itera
     with styled(settings):
         screen_dpi, figure.dpi = figure.dpi, matplotlib.rcParams['savefig.dpi']
         figure.set_facecolor(PAPER)
+        engine = figure.get_layout_engine()
+        # where axes of a fixed aspect end is known once they have been laid out: without a second
+        # time the label beside a square or upright image is cut off
+        if engine and any(axes.get_aspect() != 'auto' for axes in figure.axes):
+            engine.execute(figure)
         yield
         figure.dpi = screen_dpi
 
@@ -151,6 +157,12 @@ def figure_of(axes: Axes) -> Figure:
     figure = axes.figure
     assert isinstance(figure, Figure)
     return figure
+
+
+def counted_along_x(axes: Axes, what: str) -> None:
+    """Label an axis along which images or recordings are counted: its ticks are whole numbers."""
+    axes.xaxis.set_major_locator(MaxNLocator('auto', steps=[1, 2, 5, 10], integer=True))
+    axes.set_xlabel(what)
 
 
 def image_axes(axes: Axes, width: int, height: int) -> None:

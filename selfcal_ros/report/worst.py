@@ -23,8 +23,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.page_table import PageTable
-from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREY, image_axes, image_height_in,
-                                      INK, new_panel, ORANGE, styled)
+from selfcal_ros.report.style import (BLUE, counted_along_x, Drawing, figure_of, GREY, image_axes,
+                                      image_height_in, INK, new_panel, ORANGE, styled)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -163,7 +163,7 @@ def images_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
         left.axhline(result.reprojection_rms_px, color=GREY, linewidth=1, linestyle='--',
                      label='of all images')
         left.set_ylim(0, (1.12 + 0.06 * max(level)) * float(np.nanmax(fit.rms_px)))
-        left.set_xlabel('image')
+        counted_along_x(left, 'image')
         left.set_ylabel('rms residual / px')
         left.set_title('Residuals by image')
         left.spines[['top', 'right']].set_visible(False)

@@ -16,6 +16,7 @@
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+import cv2
 import numpy as np
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
@@ -25,6 +26,7 @@ from selfcal_ros.report.observations import observations
 from selfcal_ros.report.pair_geometry import pair_geometry, single_pairs
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.residual_figures import cells, coverage_figure
+from selfcal_ros.report.style import counted_along_x, new_panel
 from selfcal_ros.values.tracks import Tracks
 
 #: Of a covariance of all parameters.
@@ -256,3 +258,22 @@ def test_coverage_says_how_much_is_empty():
     assert coverage_figure(corners, (640, 480)).caption.startswith('99 %')
     everywhere = np.stack(np.meshgrid(np.arange(0, 640, 8), np.arange(0, 480, 8)), axis=-1)
     assert 'all over' in coverage_figure(everywhere.reshape(-1, 2), (640, 480)).caption
+
+
+@pytest.mark.parametrize('size', [(640, 480), (512, 512), (480, 640), (600, 620), (540, 960)])
+def test_no_label_beside_an_image_is_cut_off_whatever_its_shape(size):
+    xy = np.random.default_rng(0).uniform(0, 1, (400, 2)) * size
+    png, = coverage_figure(xy, size).pngs()
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+    rows, columns = np.nonzero(picture < 250)
+    assert min(rows.min(), columns.min(), picture.shape[0] - 1 - rows.max(),
+               picture.shape[1] - 1 - columns.max()) > 3
+
+
+def test_images_are_counted_in_whole_numbers():
+    axes = new_panel()
+    for last in (3, 19, 90, 1500):
+        counted_along_x(axes, 'image')
+        axes.set_xlim(0, last)
+        ticks = axes.get_xticks()
+        assert len(ticks) > 2 and (ticks % 1 == 0).all()
