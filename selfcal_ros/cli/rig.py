@@ -105,8 +105,8 @@ def run_rig(args: argparse.Namespace, settings: CalibrationSettings) -> int:
     with Progress.of(args, rig_courses([one.name for one in inputs])) as progress:
         result, reading = calibrate_rig_input(inputs, settings, args.baseline, progress)
         progress('writing')
-        text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result
-                else str(result))
+        text = (rig_text(result, frozenset(settings.mount_facts.stated), args.baseline)
+                if result else str(result))
         written: list[Path] = []
         left_out: list[LeftOut] = []
         if result:
@@ -157,7 +157,8 @@ def _accounts(args: argparse.Namespace, result: RigCalibration | NotCalibrated,
         from selfcal_ros.report.rig_page import write_rig_page
         written.append(write_rig_page(
             args.report, result, text, reading.description, reading.tracks, reading.shared,
-            Provenance.of_this_run(getattr(args, 'command_line', ()), args.input)))
+            Provenance.of_this_run(getattr(args, 'command_line', ()), args.input),
+            args.baseline))
     if args.json:
         content = rig_to_dict(result)
         content['seed'] = seed

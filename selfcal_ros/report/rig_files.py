@@ -33,6 +33,7 @@ from selfcal_ros.report.camera_files.kalibr_chain import holds, kalibr_text
 from selfcal_ros.report.camera_uncertainty import uncertainty_comment
 from selfcal_ros.report.camera_yaml import ros_yaml
 from selfcal_ros.report.mounts.words import mount_lines
+from selfcal_ros.report.phrases import facts_lines
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
 from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.report.yaml_text import number_text
@@ -172,8 +173,42 @@ def _pose(pose: CameraInRig) -> dict[str, Any]:
             **({'places': [one.as_dict() for one in pose.places]} if pose.places else {})}
 
 
-def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> str:
-    """Say where the cameras sit, for a terminal; with what was stated of the first one's mount."""
+def rig_facts(rig: RigCalibration, baseline: tuple[float, float] | None = None) -> list[str]:
+    """
+    Say what was taken as known, a line each; what holds for single cameras has their names.
+
+    Parameters
+    ----------
+    rig : RigCalibration
+    baseline : (float, float), optional
+        Stated distance of the first two cameras and its standard deviation, metres.
+
+    """
+    of_camera = {name: facts_lines(one.facts) for name, one in rig.cameras.items()}
+    said = [line for line in next(iter(of_camera.values()))
+            if all(line in lines for lines in of_camera.values())]
+    said += [f'{name}: {line}' for name, lines in of_camera.items()
+             for line in lines if line not in said]
+    if baseline is not None:
+        spread = f'σ = {1e3 * baseline[1]:g} mm' if baseline[1] else 'exact'
+        said.append(f'distance of the first two cameras = {1e3 * baseline[0]:g} mm ({spread})')
+    return said
+
+
+def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset(),
+             baseline: tuple[float, float] | None = None) -> str:
+    """
+    Say where the cameras sit, for a terminal.
+
+    Parameters
+    ----------
+    rig : RigCalibration
+    mount_facts : set of str
+        What was stated of the first camera's mount.
+    baseline : (float, float), optional
+        As it was stated, with its standard deviation, metres.
+
+    """
     unit, factor = ('mm', 1e3) if rig.unit == 'm' else ('steps', 1.0)
     lines = [f'{len(rig.cameras)} cameras from {len(rig.frames)} instants, {rig.motion} motion: '
              f'reprojection {rig.reprojection_rms_px:.3f} px rms over {rig.observation_count} '
@@ -205,7 +240,7 @@ def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> 
         lines += ['', 'Lengths are in steps of the path' + (
             '.' if given else '; --baseline METRES gives metres, and so does --robot.')]
     lines += mount_lines(rig.cameras[first], mount_facts)
-    return '\n'.join([*lines, '', *rig.notes])
+    return '\n'.join([*lines, '', f'Facts: {"; ".join(rig_facts(rig, baseline))}.', *rig.notes])
 
 
 def output_names(camera_yaml: Path, cameras: Iterable[str]) -> dict[str, Path]:

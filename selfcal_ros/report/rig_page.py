@@ -25,9 +25,10 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import PLACE, POSE, RigCalibration
 from selfcal_ros.report.page import drawn, page_environment, unbroken
 from selfcal_ros.report.page_table import PageTable
+from selfcal_ros.report.phrases import facts_lines
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.rig_epipolar import epipolar_distances, WRONG_PX
-from selfcal_ros.report.rig_files import rectification, rig_camera_yaml
+from selfcal_ros.report.rig_files import rectification, rig_camera_yaml, rig_facts
 from selfcal_ros.values.measured_digits import with_sigma
 from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
@@ -41,7 +42,8 @@ _WAYS = {'x': 'right', 'y': 'down', 'z': 'ahead', 'roll': 'about x', 'pitch': 'a
 
 def write_rig_page(path: str | Path, result: RigCalibration | NotCalibrated, text: str,
                    source: str = '', tracks: Mapping[str, Tracks] | None = None,
-                   shared: bool = False, made: Provenance | None = None) -> Path:
+                   shared: bool = False, made: Provenance | None = None,
+                   baseline: tuple[float, float] | None = None) -> Path:
     """
     Write the page; it appears whole or not at all.
 
@@ -58,6 +60,8 @@ def write_rig_page(path: str | Path, result: RigCalibration | NotCalibrated, tex
     shared : bool
         Equal numbers of tracks in two cameras are the same point.
     made : Provenance, optional
+    baseline : (float, float), optional
+        As it was stated, with its standard deviation, metres.
 
     Raises
     ------
@@ -81,7 +85,9 @@ def write_rig_page(path: str | Path, result: RigCalibration | NotCalibrated, tex
         drawings=list(drawings.values()), matrices=matrices, files=files,
         metric=bool(result) and result.unit == 'm',
         verdict=unbroken(verdict(result)) if result else result.reason,
-        numbers=_numbers(result) if result else [], made=made.rows() if made else [],
+        numbers=_numbers(result) if result else [],
+        facts=rig_facts(result, baseline) if result else facts_lines(result.facts),
+        made=made.rows() if made else [],
         notes=[Markup('{}').format(one) for one in result.notes]))
 
 

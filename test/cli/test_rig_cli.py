@@ -98,6 +98,17 @@ def test_the_result_has_every_camera_and_the_rig(calibrated):
     assert content['joint']['parameter_names'][-1] == 'right.yaw'
 
 
+def test_what_was_taken_as_known_is_told(calibrated):
+    scene, folder, _, _ = calibrated
+    page = (folder / 'rig.html').read_text('utf-8')
+    known = page[page.index('Taken as known'):]
+    length = f'{1e3 * scene.baseline_m:g} mm (σ = 0.5 mm)'
+    for line in ('aspect ratio fy / fx = 1 (exact)', 'skew = 0 px (exact)', 'lens model: none',
+                 f'distance of the first two cameras = {length}'):
+        assert known.count(f'<li>{line}</li>') == 1
+        assert line in known[known.index('As printed'):]
+
+
 def test_r_and_p_bring_both_images_to_the_same_rows(calibrated):
     scene, folder, _, content = calibrated
     T = np.array(content['rig']['right']['T_rig_camera'])
