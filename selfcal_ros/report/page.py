@@ -40,7 +40,7 @@ from selfcal_ros.report.mounts.words import no_mount_sentence
 from selfcal_ros.report.open_frames import OpenFrames
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
-from selfcal_ros.report.provenance import Provenance
+from selfcal_ros.report.provenance import bytes_text, Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
 from selfcal_ros.report.summary import distortion, matrix, px_text, quality
 from selfcal_ros.values.output_files import atomic_write
@@ -121,7 +121,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         numbers=_numbers(shown), yaml=_yaml(result, camera_name))
     # whatever comes from outside is escaped, so this mark is the template's own
     head, _, foot = page.rpartition('<!--size-->')
-    return f'{head}{len(page.encode()) / 1e6:.1f} MB{foot}'
+    return f'{head}{bytes_text(len(page.encode()))}{foot}'
 
 
 def _images_and_scene(result: Calibration | NotCalibrated, tracks: Tracks | None,

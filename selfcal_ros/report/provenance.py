@@ -88,6 +88,11 @@ def _versions() -> dict[str, str]:
             **{title: version for title, version in loaded.items() if version}}
 
 
+def bytes_text(count: int) -> str:
+    """Write a number of bytes with its unit."""
+    return f'{count / 1e6:.1f} MB' if count > 95_000 else f'{count / 1e3:.1f} kB'
+
+
 def _size_text(path: str) -> str:
     """Say how large a file, or all files of a folder, are; nothing where that is not known."""
     try:
@@ -98,7 +103,7 @@ def _size_text(path: str) -> str:
         return ''
     count = ('' if place.is_file() else
              f'{len(files)} file{"s" if len(files) != 1 else ""}, ')
-    return f' ({count}{size / 1e6:.1f} MB)'
+    return f' ({count}{bytes_text(size)})'
 
 
 def _taken(tracks: Tracks | None) -> str:

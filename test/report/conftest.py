@@ -22,6 +22,7 @@ from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.report import figures
 from selfcal_ros.report.page import page_html
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -70,3 +71,9 @@ def html(calibration, sequence):
     notes = (*(Finding('errors_within_track', ratio=1.0 + 0.1 * k) for k in range(8)),
              'How tracks came about.', Finding('image_size_not_stated'))
     return page_html(calibration, 'text', tracks=sequence.tracks, made=made, notes=notes)
+
+
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Spare the time of figures where they do not matter."""
+    monkeypatch.setattr(figures, 'draw_figures', lambda *_: [])

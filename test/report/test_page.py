@@ -31,7 +31,6 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.report import figures
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
@@ -101,12 +100,6 @@ def test_the_page_needs_no_network_and_runs_its_own_script_alone(html):
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert ('content', "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
             f"script-src 'sha256-{digest}'") in page.attributes
-
-
-@pytest.fixture
-def without_figures(monkeypatch):
-    """Spare the time of figures where they do not matter."""
-    monkeypatch.setattr(figures, 'draw_figures', lambda *_: [])
 
 
 def test_what_rests_on_a_fact_is_among_the_notes(calibration, sequence, without_figures):

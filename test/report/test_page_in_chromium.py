@@ -13,11 +13,14 @@
 # limitations under the License.
 """The page in a real browser: no complaint, nothing sticks out, the scene turns."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.many_inputs_report import write_summary_page
@@ -89,6 +92,26 @@ def test_opens_without_a_complaint_and_fits(browser, report, width, scheme):
     assert (ink > ground) == (scheme == 'dark') and abs(ink - ground) > 450
     image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
     assert image.shape[1] == width and image.std() > 10
+
+
+#: Cells of the table of parameters whose words lie on those of another cell of their row.
+OVERLAPPING = """[...document.querySelectorAll('.parameters tr')].flatMap(row => {
+    const boxes = [...row.cells].filter(e => e.textContent.trim()).map(e => {
+        const range = document.createRange(); range.selectNodeContents(e);
+        return [e, range.getBoundingClientRect()]; }).filter(([e, b]) => b.width);
+    return boxes.filter(([e, b], k) => boxes.slice(k + 1).some(([f, c]) =>
+        b.left < c.right - 1 && c.left < b.right - 1 && b.top < c.bottom - 3
+        && c.top < b.bottom - 3)).map(([e]) => row.textContent);
+})"""
+
+
+def test_no_words_of_a_parameter_lie_on_others(browser, calibration, tmp_path, without_figures):
+    finding = Finding('fact_unchecked', fact='aspect ratio', error=0.1, unknown='aspect',
+                      moves={'fy': 0.5}, name='fy', change=0.5, sigmas=5.0)
+    path = write_page(tmp_path / 'report.html', replace(calibration, findings=(finding,)), '')
+    assert 'if the aspect ratio is exact' in path.read_text('utf-8')
+    for width in (1280, 400, 320):
+        assert browser.open(path, width).evaluate(OVERLAPPING) == []
 
 
 @pytest.mark.parametrize('width, scheme', [(1280, 'light'), (1280, 'dark'), (400, 'light')])

@@ -68,6 +68,8 @@ def test_the_time_can_be_given_and_names_stay_text(tmp_path, monkeypatch, sequen
     assert rows[0] == ('made', '1970-01-02 00:00:00 UTC')
     assert rows[2][1].endswith('x.csv (0.2 MB)') and '(1 file, 0.2 MB)' in rows[3][1]
     assert rows[4][1].endswith('gone')
+    path.write_bytes(bytes(4_700))
+    assert made.rows(tracks)[2][1].endswith('x.csv (4.7 kB)')
     assert rows[5] == ('images taken', '2001-09-09 01:46:40 UTC, over 2.5 s')
     assert {'selfcal_ros', 'Python', 'NumPy'} <= set(made.versions)
     page = page_html(NotCalibrated('No.'), '', made=made)
