@@ -44,7 +44,7 @@ REMARKS: dict[str, Phrase] = {
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
     'errors_within_segment': Phrase(
-        'Errors are shared within a stretch of images, as with jolts, moving objects or a '
+        'Errors are shared within a segment of images, as with jolts, moving objects or a '
         'rolling shutter: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Record a calmer drive, or a scene where nothing moves.'),

@@ -14,8 +14,8 @@
 """
 What the documents name exists: files, commands, options, topics, parameters and words of code.
 
-Documents are README.md, CONTRIBUTING.md, QUALITY_DECLARATION.md, docs/ (but for api.md, which is
-made from docstrings), bench/ and examples/. A name counts where it is set as code.
+Documents are those beside README.md, docs/ (but for api.md, which is made from docstrings), bench/,
+bags/ and examples/. A name counts where it is set as code.
 """
 
 import argparse
@@ -34,8 +34,8 @@ from test_support.syntax_trees import trees_in
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(
     path for path in [*(ROOT / 'docs').rglob('*.md'), *(ROOT / 'bench').rglob('*.md'),
-                      *(ROOT / 'examples').glob('*.md'), ROOT / 'README.md',
-                      ROOT / 'CONTRIBUTING.md', ROOT / 'QUALITY_DECLARATION.md']
+                      *(ROOT / 'examples').glob('*.md'), *(ROOT / 'bags').glob('*.md'),
+                      *ROOT.glob('*.md')]
     if path.name != 'api.md')
 SOURCES = ('selfcal_ros', 'msg_adapters', 'launch', 'config', 'bench', 'test', 'test_support',
            'docs', 'examples', 'scripts', 'bags')
@@ -195,6 +195,14 @@ def test_every_option_outside_of_code_exists_too():
         prose = re.sub(r'`[^`\n]*`|^    .*$', '', _text(path), flags=re.M)
         for option in re.findall(r'(?<![\w-])--[a-z][\w-]+', prose):
             assert option in known, f'{path}: {option}'
+
+
+def test_every_option_of_selfcal_is_on_a_page():
+    written = '\n'.join(_text(path) for path in DOCUMENTS if path.name != 'troubleshooting.md')
+    named = set(re.findall(r'(?<![\w-])--[a-z][\w-]*', written))
+    options = {option for verb in command_line.VERBS for option in _options()[verb]
+               if option.startswith('--')}
+    assert not options - named - {'--help', '--version'}
 
 
 def test_every_topic_and_service_exists():
