@@ -25,11 +25,10 @@ from typing import Any
 STANDARD_OUTPUT = '-'
 
 
-def add_json_argument(parser: argparse._ActionsContainer,
-                      what: str = 'everything, for another program') -> None:
+def add_json_argument(parser: argparse._ActionsContainer) -> None:
     """Add the option --json."""
     parser.add_argument('--json', type=Path, metavar='FILE',
-                        help=f'{what}; "-" prints it, and nothing else')
+                        help='everything, for another program; "-" prints it, and nothing else')
 
 
 def is_standard_output(path: Path | None) -> bool:

@@ -100,7 +100,7 @@ class ReplaySupervisor(Node):
 
 
 def replay(bag: str | Path, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
-           parameters: dict[str, Any] | None = None, calibrator: str = 'planar_calibrator',
+           calibrator: str = 'planar_calibrator',
            ) -> tuple[dict[str, Any], list[tuple[int, float]]]:
     """
     Replay a bag through feature_tracker and a calibrator, three processes over DDS.
@@ -114,8 +114,6 @@ def replay(bag: str | Path, output: Path, rate: float = 1.0, timeout_s: float = 
         Playback speed.
     timeout_s : float
         For each step, on top of the playing time.
-    parameters : dict, optional
-        Further parameters of the calibrator.
     calibrator : {'planar_calibrator', 'affine_calibrator'}
 
     Returns
@@ -139,7 +137,7 @@ def replay(bag: str | Path, output: Path, rate: float = 1.0, timeout_s: float = 
         stack.callback(supervisor.destroy_node)
         # the silence after the end of the bag is no reason to warn
         processes.start(calibrator, {'output': str(Path(output) / 'camera.yaml'),
-                                     'silence_s': 600.0, **(parameters or {})})
+                                     'silence_s': 600.0})
         processes.start('feature_tracker', {'silence_s': 600.0})
         # nothing is played before everybody hears everybody
         wait_for(supervisor, lambda: processes.alive()

@@ -43,8 +43,6 @@ class StampGroups:
     ----------
     count : int
         Number of cameras.
-    same_ns : int
-        By which stamps of one instant may differ.
 
     Attributes
     ----------
@@ -56,9 +54,9 @@ class StampGroups:
     #: After so many instants without an image nobody waits for a camera.
     _GONE = 3
 
-    def __init__(self, count: int, same_ns: int = SAME_NS) -> None:
+    def __init__(self, count: int) -> None:
         """Start with nothing."""
-        self._count, self._same_ns = count, same_ns
+        self._count = count
         self.late = 0
         self.forget()
 
@@ -93,7 +91,7 @@ class StampGroups:
             self.late += 1
             return []
         group = next((images for stamp, images in self._waiting
-                      if abs(stamp - stamp_ns) <= self._same_ns and images[which] is None), None)
+                      if abs(stamp - stamp_ns) <= SAME_NS and images[which] is None), None)
         if group is None:
             group = [None] * self._count
             self._waiting.append((stamp_ns, group))

@@ -81,7 +81,7 @@ def kruppa_residuals(F: np.ndarray, dual_conic: np.ndarray) -> np.ndarray:
 
 
 def calibrate_kruppa(F: ArrayLike, size: tuple[int, int], facts: CameraFacts | None = None,
-                     weights: ArrayLike | None = None) -> KruppaCalibration | NoEstimate:
+                     ) -> KruppaCalibration | NoEstimate:
     """
     Calibrate from the fundamental matrices of pairs of views.
 
@@ -93,8 +93,6 @@ def calibrate_kruppa(F: ArrayLike, size: tuple[int, int], facts: CameraFacts | N
         Width and height of the image, pixels.
     facts : CameraFacts, optional
         Aspect ratio, skew and principal point that are stated are held.
-    weights : array_like, shape (n,), optional
-        Of the pairs.
 
     Returns
     -------
@@ -107,7 +105,6 @@ def calibrate_kruppa(F: ArrayLike, size: tuple[int, int], facts: CameraFacts | N
     back = np.array([[scale, 0, middle[0]], [0, scale, middle[1]], [0, 0, 1]])
     scaled = back.T @ of_pixels @ back
     scaled = scaled / np.linalg.norm(scaled, axis=(1, 2), keepdims=True)
-    weight = np.ones(len(scaled)) if weights is None else np.asarray(weights, float)
     start = np.zeros(5)          # log f, log aspect, cx, cy, skew
     free = np.ones(5, bool)
     if facts.aspect_ratio is not None:
@@ -129,8 +126,7 @@ def calibrate_kruppa(F: ArrayLike, size: tuple[int, int], facts: CameraFacts | N
         values = start.copy()
         values[free] = unknown
         K = camera(values)
-        left: np.ndarray = kruppa_residuals(scaled, K @ K.T) * weight[:, None]
-        return left.ravel()
+        return kruppa_residuals(scaled, K @ K.T).ravel()
 
     # loaded by the few that need it
     from scipy.optimize import least_squares

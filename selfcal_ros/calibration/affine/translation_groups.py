@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, estimate_radial,
                                                             general_geometry, MIN_MATCHES,
@@ -130,11 +129,11 @@ class TranslationGroups:
         return self.finding().sentence
 
 
-def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLike | None = None,
+def classify_translations(tracks: Tracks, size: tuple[int, int],
                           radial: tuple[float, float] | None = None,
                           ) -> tuple[PairTests, tuple[float, float]]:
     """
-    Test pairs of views for pure translation.
+    Test all pairs of views that share enough points for pure translation.
 
     Parameters
     ----------
@@ -142,8 +141,6 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLik
         Pixels, undistorted or mildly distorted; gross errors should be few.
     size : (int, int)
         Width and height, pixels.
-    pairs : array_like of int, shape (n, 2), optional
-        Frames; all with enough matches by default.
     radial : (float, float), optional
         Distortion, see `undo_radial`; estimated by default, zeros where the pixels are
         undistorted.
@@ -154,7 +151,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs: ArrayLik
     radial : (float, float)
 
     """
-    pairs = pairs_with_matches(tracks) if pairs is None else np.asarray(pairs).reshape(-1, 2)
+    pairs = pairs_with_matches(tracks)
     if not len(pairs):
         none = np.zeros(0)
         return PairTests(pairs, none, none, none, none, np.zeros((0, 3))), (0.0, 0.0)

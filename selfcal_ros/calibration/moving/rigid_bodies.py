@@ -84,16 +84,13 @@ class RigidBody:
     bundle: Bundle[SceneState]
     state: SceneState
 
-    def test(self, observations: Observations, spread: float = 1.0,
-             ) -> tuple[TrackTest, np.ndarray] | None:
+    def test(self, observations: Observations) -> tuple[TrackTest, np.ndarray] | None:
         """
         Judge tracks by the body's motion.
 
         Parameters
         ----------
         observations : Observations
-        spread : float
-            See `judge_tracks`.
 
         Returns
         -------
@@ -108,13 +105,12 @@ class RigidBody:
         if not len(points):
             return None
         within = replace(within, view=np.searchsorted(self.views, within.view), shutter=None)
-        test = judge_tracks(self.bundle, self.state, within, spread)
+        test = judge_tracks(self.bundle, self.state, within)
         return None if test is None else (test, points)
 
 
 def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
-                rng: np.random.Generator, most: int = 3,
-                spread: float = 1.0) -> Iterator[tuple[RigidBody, np.ndarray]]:
+                rng: np.random.Generator, most: int = 3) -> Iterator[tuple[RigidBody, np.ndarray]]:
     """
     Find the rigid bodies that explain most tracks, one after another.
 
@@ -128,8 +124,6 @@ def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
     rng : numpy.random.Generator
     most : int
         Bodies to look for.
-    spread : float
-        See `judge_tracks`.
 
     Yields
     ------
@@ -146,7 +140,7 @@ def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
         if len(places) < LEAST_TRACKS:
             return
         body = _body(rest, camera, sigma_px, rng)
-        found = body and body.test(rest, spread)
+        found = body and body.test(rest)
         if body is None or not found:
             return
         test, seen = found

@@ -80,7 +80,7 @@ def freedom_of(count: np.ndarray) -> np.ndarray:
 
 
 def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
-                 spread: float = 1.0) -> TrackTest | None:
+                 ) -> TrackTest | None:
     """
     Judge every track by the poses of a state.
 
@@ -92,8 +92,6 @@ def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Ob
         Its poses and lens are held.
     observations : Observations
         Of the tracks; read in rows, those rows are displaced as the state's path moves.
-    spread : float
-        Variance of the sum over a track over that of independent errors, at most.
 
     Returns
     -------
@@ -104,14 +102,14 @@ def judge_tracks(bundle: Bundle[SceneState], state: SceneState, observations: Ob
     scene = scene_of(bundle, state, observations)
     if scene is None:
         return None
-    return judge_scene(scene, observations.point, instants(bundle), spread)
+    return judge_scene(scene, observations.point, instants(bundle))
 
 
 def judge_scene(scene: tuple[Bundle[SceneState], SceneState], point: np.ndarray,
-                instant: np.ndarray, spread: float = 1.0) -> TrackTest:
+                instant: np.ndarray) -> TrackTest:
     """Judge tracks (N,) by the points of a scene (`scene_of`); instants (V,) number its views."""
     copies = int(np.bincount(instant).max())
-    return judged(point, distances(*scene), spread * copies, copies)
+    return judged(point, distances(*scene), copies, copies)
 
 
 def scene_of(bundle: Bundle[SceneState], state: SceneState, observations: Observations,
@@ -174,7 +172,7 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0, copies:
     distance : ndarray, shape (N,)
         Length of its residual, sigmas.
     spread : float
-        See `judge_tracks`.
+        Variance of the sum over a track over that of independent errors, at most.
     copies : int
         Observations of a track that are lost together.
 

@@ -168,7 +168,7 @@ def _leverage(slope: np.ndarray) -> float:
     return 1 / size if size > 1e-9 else float('inf')
 
 
-def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: str | None = None,
+def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts,
                                 covariance: ArrayLike | None = None,
                                 ) -> PencilCalibration | NoEstimate:
     """
@@ -180,8 +180,6 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
         With v the pole of l; for circular motion see `circular.calibrate_circular`.
     facts : CameraFacts
         Aspect ratio, skew, principal point; several are weighed by their sigmas.
-    only : {'aspect_ratio', 'skew', 'principal_point'}, optional
-        Use this fact alone.
     covariance : array_like, shape (9, 9), optional
         Of v, the real and the imaginary part of i, in pixels.
 
@@ -193,7 +191,7 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
 
     """
     known = [name for name in ('aspect_ratio', 'principal_point', 'skew')
-             if getattr(facts, name) is not None and only in (None, name)]
+             if getattr(facts, name) is not None]
     if not known:
         return NoEstimate('no_fact')
     T, working = _working_frame(fixed)

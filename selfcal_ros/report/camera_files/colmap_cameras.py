@@ -198,7 +198,7 @@ def colmap_line(camera: Camera) -> str:
     return f'{model} {camera.width} {camera.height} {" ".join(map(repr, values))}'
 
 
-def colmap_text(camera: Camera, name: str = '', topic: str = '') -> str:
+def colmap_text(camera: Camera) -> str:
     """
     Write cameras.txt with one camera, number 1.
 
@@ -213,7 +213,7 @@ def colmap_text(camera: Camera, name: str = '', topic: str = '') -> str:
             f'1 {colmap_line(camera)}\n')
 
 
-def colmap_binary(camera: Camera, name: str = '', topic: str = '') -> bytes:
+def colmap_binary(camera: Camera) -> bytes:
     """
     Write cameras.bin with one camera, number 1.
 

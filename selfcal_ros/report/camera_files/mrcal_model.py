@@ -87,7 +87,7 @@ def holds(camera: Camera) -> bool:
     return camera.model in ('plumb_bob', 'rational_polynomial')
 
 
-def mrcal_text(camera: Camera, name: str = '', topic: str = '') -> str:
+def mrcal_text(camera: Camera) -> str:
     """
     Write a camera as a .cameramodel, at the origin.
 

@@ -90,7 +90,7 @@ def parse_opencv(text: str, source: str, fisheye: bool = False,
     return cameras
 
 
-def opencv_text(camera: Camera, name: str = '', topic: str = '', xml: bool = False) -> str:
+def opencv_text(camera: Camera, xml: bool = False) -> str:
     """
     Write a camera as FileStorage does.
 
