@@ -109,6 +109,27 @@ def _moving(displacement: np.ndarray, wanted_px: float) -> np.ndarray:
     return displacement
 
 
+def image_speeds(tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return how fast points move in the image, from each place of a track to its next.
+
+    Returns
+    -------
+    time : ndarray of int, shape (N,)
+        Row of the frame of every observation, among the frames that there are.
+    step : ndarray of int, shape (S,)
+        Observations that another one of their track follows.
+    speed : ndarray, shape (S,)
+        Pixels a frame that there is.
+
+    """
+    time = np.unique(tracks.frame, return_inverse=True)[1].ravel()
+    # rows are sorted by track, then frame: steps lie next to each other
+    step = np.flatnonzero(np.diff(tracks.track) == 0)
+    return time, step, (np.linalg.norm(tracks.xy[step + 1] - tracks.xy[step], axis=1)
+                        / (time[step + 1] - time[step]))
+
+
 def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
                 ) -> tuple[Tracks, int]:
     """
@@ -141,14 +162,10 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
     deviation = np.linalg.norm(tracks.xy - mean[inverse], axis=1)
     reach = np.zeros(len(track))
     np.maximum.at(reach, inverse, deviation)
-    frames, time = np.unique(tracks.frame, return_inverse=True)
-    time = time.ravel()
-    # rows are sorted by track, then frame: steps lie next to each other
-    step = np.flatnonzero(np.diff(tracks.track) == 0)
-    speed = (np.linalg.norm(tracks.xy[step + 1] - tracks.xy[step], axis=1)
-             / (time[step + 1] - time[step]))
-    seen = np.bincount(time[step], minlength=len(frames))
-    fast = np.bincount(time[step], speed > moving_px, minlength=len(frames))
+    time, step, speed = image_speeds(tracks)
+    views = time.max() + 1
+    seen = np.bincount(time[step], minlength=views)
+    fast = np.bincount(time[step], speed > moving_px, minlength=views)
     moving = (fast >= 20) & (fast >= 0.05 * seen)
     total = np.concatenate([[0], np.cumsum(moving)])
     first = np.searchsorted(tracks.track, track)
@@ -156,7 +173,7 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0,
     static = (reach < still_px) & (steps >= 2)
     # with only one step to judge by, the scene must move a lot for certain
     median = np.array([np.median(speed[time[step] == k]) if seen[k] >= 20 else 0.0
-                       for k in range(len(frames))])
+                       for k in range(views)])
     static |= (reach < still_px) & (steps == 1) & (median[time[first]] > 4 * moving_px)
     return tracks.select(~static[inverse]), int(static.sum())
 

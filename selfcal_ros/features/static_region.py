@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from selfcal_ros.features.selection import image_speeds
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.values.tracks import Tracks
 
@@ -123,15 +124,11 @@ def _histories(tracks: Tracks, diagonal_px: float) -> _Histories:
 
 def _way_of_scene(tracks: Tracks, first: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Return how far the faster points of the scene go while each track is seen, pixels."""
-    frames, time = np.unique(tracks.frame, return_inverse=True)
-    time = time.ravel()
-    step = np.flatnonzero(np.diff(tracks.track) == 0)
-    speed = (np.linalg.norm(tracks.xy[step + 1] - tracks.xy[step], axis=1)
-             / (time[step + 1] - time[step]))
+    time, step, speed = image_speeds(tracks)
     # a body may cover most of the image: the median would be its own
     fast = np.array([np.percentile(speed[time[step] == k], 80)
                      if np.count_nonzero(time[step] == k) >= 20 else 0.0
-                     for k in range(len(frames))])
+                     for k in range(time.max() + 1)])
     total = np.concatenate([[0], np.cumsum(fast)])
     way: np.ndarray = total[time[first + count - 1]] - total[time[first]]
     return way

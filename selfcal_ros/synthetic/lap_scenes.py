@@ -53,10 +53,35 @@ def laps(rng: np.random.Generator, noise_px: float = 0.3) -> PointSequence:
     k1 = rng.uniform(-0.15, 0.02)
     camera = Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (k1, 0.02), 640, 480)
     poses = planar_poses(xy, heading, HEIGHT_M, AHEAD_M, rng.uniform(5, 25))
-    low, high = np.append(xy.min(axis=0) - 5, 0), np.append(xy.max(axis=0) + 5, 3)
-    points = rng.uniform(low, high, (POINTS, 3))
-    points[:POINTS // 2, 2] = 0
-    away = np.linalg.norm(points @ np.swapaxes(poses[:, :, :3], 1, 2) + poses[:, None, :, 3],
-                          axis=2)
+    points, away = hall_around(rng, poses, xy, POINTS)
     seen = (away < FARTHEST_M) & (rng.random(away.shape) < FOUND)
     return observe(rng, camera, poses, points, noise_px, only_inside=True, seen=seen)
+
+
+def hall_around(rng: np.random.Generator, poses: np.ndarray, xy: np.ndarray, count: int,
+                ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Draw points on the floor, half of them, and up to 3 m above it, 5 m beyond a path.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    poses : ndarray, shape (V, 3, 4)
+        `cam_from_world`.
+    xy : ndarray, shape (V, 2)
+        Places of the vehicle on the floor, metres.
+    count : int
+
+    Returns
+    -------
+    points : ndarray, shape (count, 3)
+    away : ndarray, shape (V, count)
+        Distance of every point from every camera.
+
+    """
+    low, high = np.append(xy.min(axis=0) - 5, 0), np.append(xy.max(axis=0) + 5, 3)
+    points = rng.uniform(low, high, (count, 3))
+    points[:count // 2, 2] = 0
+    away: np.ndarray = np.linalg.norm(
+        points @ np.swapaxes(poses[:, :, :3], 1, 2) + poses[:, None, :, 3], axis=2)
+    return points, away

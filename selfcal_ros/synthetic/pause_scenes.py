@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.synthetic.lap_scenes import hall_around
 from selfcal_ros.synthetic.paths import planar_poses
 from selfcal_ros.synthetic.scenes import observe, PointSequence
 from selfcal_ros.synthetic.special_scenes import with_outliers
@@ -61,11 +62,7 @@ def pauses(rng: np.random.Generator, noise_px: float = 0.2) -> PointSequence:
     f, k1 = rng.uniform(400, 750), rng.uniform(-0.2, 0.0)
     camera = Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (k1, 0.5 * k1 * k1), 640, 480)
     poses = planar_poses(xy, heading, HEIGHT_M, rng.choice(AHEAD_M), rng.uniform(8, 25))
-    low, high = np.append(xy.min(axis=0) - 5, 0), np.append(xy.max(axis=0) + 5, 3)
-    points = rng.uniform(low, high, (POINTS, 3))
-    points[:POINTS // 2, 2] = 0
-    away = np.linalg.norm(points @ np.swapaxes(poses[:, :, :3], 1, 2) + poses[:, None, :, 3],
-                          axis=2)
+    points, away = hall_around(rng, poses, xy, POINTS)
     first = rng.integers(-FOLLOWED, views, POINTS)
     last = first + np.maximum(3, rng.geometric(1 / FOLLOWED, POINTS))
     view = np.arange(views)[:, None]

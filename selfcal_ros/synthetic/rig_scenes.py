@@ -26,7 +26,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.projective import camera_centres
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import observe, pitched_mount, planar_poses
-from selfcal_ros.synthetic.special_scenes import hand_held, placed_points
+from selfcal_ros.synthetic.special_scenes import hand_held, placed_points, winding_course
 from selfcal_ros.values.tracks import Tracks
 
 #: Two cameras that have nothing in common.
@@ -74,13 +74,7 @@ def hand_path(rng: np.random.Generator, views: int = 12) -> np.ndarray:
 
 def driven_path(views: int = 20, pitch_deg: float = 20.0) -> np.ndarray:
     """Return poses (V, 3, 4) of a rig on a vehicle that winds its way, metres."""
-    step = np.arange(views)
-    heading = np.radians(24.0) * np.sin(2 * np.pi * step / 26.0) + np.radians(0.5) * step
-    course = heading + np.radians(6.0) * np.sin(0.9 * step)
-    stride = 0.16 * (1 + 0.4 * np.sin(0.7 * step + 1.0))
-    places = np.cumsum(stride[:, None] * np.column_stack([np.cos(course), np.sin(course)]),
-                       axis=0)
-    return planar_poses(pitched_mount(np.radians(pitch_deg)), heading, places)
+    return planar_poses(pitched_mount(np.radians(pitch_deg)), *winding_course(views))
 
 
 def late_path(path: np.ndarray, share: float) -> np.ndarray:

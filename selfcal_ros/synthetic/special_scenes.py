@@ -133,6 +133,16 @@ def with_outliers(sequence: PointSequence, rng: np.random.Generator, share: floa
                                                          tracks.image_size, tracks.stamps_ns))
 
 
+def winding_course(views: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return headings (V,), radians, and places (V, 2), metres, of a vehicle that winds along."""
+    step = np.arange(views)
+    heading = np.radians(24.0) * np.sin(2 * np.pi * step / 26.0) + np.radians(0.5) * step
+    course = heading + np.radians(6.0) * np.sin(0.9 * step)
+    stride = 0.16 * (1 + 0.4 * np.sin(0.7 * step + 1.0))
+    return heading, np.cumsum(
+        stride[:, None] * np.column_stack([np.cos(course), np.sin(course)]), axis=0)
+
+
 def drive(rng: np.random.Generator, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
           track_length: int = 24, camera: Camera | None = None, pitch_deg: float = 20.0,
           roll_deg: float = 0.0) -> PointSequence:
@@ -161,12 +171,7 @@ def drive(rng: np.random.Generator, noise_px: float = 0.1, views: int = 24, trac
     if camera is None:
         camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], (), 640, 480)
     mount = pitched_mount(np.radians(pitch_deg), np.radians(roll_deg))
-    step = np.arange(views)
-    heading = np.radians(24.0) * np.sin(2 * np.pi * step / 26.0) + np.radians(0.5) * step
-    course = heading + np.radians(6.0) * np.sin(0.9 * step)
-    stride = 0.16 * (1 + 0.4 * np.sin(0.7 * step + 1.0))
-    positions = np.cumsum(stride[:, None] * np.column_stack([np.cos(course), np.sin(course)]),
-                          axis=0)
+    heading, positions = winding_course(views)
     poses = planar_poses(mount, heading, positions)
     points, seen = placed_points(rng, camera, poses, tracks, track_length)
     return planar_sequence(rng, camera, mount, heading, positions, points, noise_px,

@@ -97,11 +97,16 @@ def _floor_from_dict(stored: dict[str, Any] | None) -> Floor | NoEstimate | None
     if stored is None:
         return None
     if 'kind' in stored:
-        if stored['kind'] not in KINDS:
-            return NoEstimate('note', text=stored.get('reason', ''))
-        return NoEstimate(stored['kind'], **stored.get('values', {}))
+        return _reason(stored)
     return Floor(float(stored['height_m']), float(stored['sigma_m']), int(stored['points']),
                  float(stored['tilt_rad']))
+
+
+def _reason(stored: dict[str, Any]) -> NoEstimate:
+    """Return why something is not known; of a kind of another version the words alone."""
+    if stored['kind'] not in KINDS:
+        return NoEstimate('note', text=stored.get('reason', ''))
+    return NoEstimate(stored['kind'], **stored.get('values', {}))
 
 
 def known_sigma(mount: Mount) -> dict[str, float | None]:
@@ -144,10 +149,7 @@ def mount_from_dict(stored: dict[str, Any] | None) -> Mount | NoEstimate | None:
     if stored is None:
         return None
     if 'kind' in stored:
-        if stored['kind'] not in KINDS:
-            # of another version
-            return NoEstimate('note', text=stored.get('reason', ''))
-        return NoEstimate(stored['kind'], **stored.get('values', {}))
+        return _reason(stored)
     names = tuple(stored['names'])
     covariance = np.array([[np.inf if value is None and row == column else value
                             for column, value in enumerate(line)]
