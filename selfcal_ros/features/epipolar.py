@@ -89,7 +89,7 @@ class EpipolarImages:
         return _polished(found, pairs, threshold_px)
 
     def refit_each(self, found: list[np.ndarray | None], pairs: Sequence[Pair],
-                   threshold_px: float, seed: int, pool: Executor) -> list[np.ndarray | None]:
+                   threshold_px: float, pool: Executor) -> list[np.ndarray | None]:
         """As `fit_each`, for matches that were found near F already."""
         if not self.model.straight:
             return self._polished_bent(found, pairs, threshold_px, pool)

@@ -308,7 +308,7 @@ def _verified(gallery: _Gallery, pairs: Sequence[tuple[int, int]],
         progress(len(guided) / len(found))
     refined = epipolar.refit_each(list(found.values()),
                                   [places(k, a[use], b[use]) for k, ((a, b), use)
-                                   in guided.items()], 1.0, seed, pool)
+                                   in guided.items()], 1.0, pool)
 
     def agreeing(k: int, F: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         a, b = guided[k][0]

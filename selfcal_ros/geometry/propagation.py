@@ -141,8 +141,7 @@ def spread(influence: np.ndarray) -> np.ndarray:
     return covariance
 
 
-def null_influence(rows: np.ndarray, vector: np.ndarray, by_point: np.ndarray,
-                   ) -> tuple[np.ndarray, float]:
+def null_influence(rows: np.ndarray, by_point: np.ndarray) -> tuple[np.ndarray, float]:
     """
     Propagate noise to the right null vector of equations, as of a tensor by least squares.
 
@@ -150,10 +149,9 @@ def null_influence(rows: np.ndarray, vector: np.ndarray, by_point: np.ndarray,
     ----------
     rows : ndarray, shape (m, e, k)
         Equations of every point.
-    vector : ndarray, shape (k,)
-        Their least singular vector, of unit norm.
     by_point : ndarray, shape (m, e, c)
-        Derivative of rows @ vector by the c noisy coordinates of each point.
+        Derivative of rows @ vector by the c noisy coordinates of each point, for the vector of
+        unit norm that the equations bring nearest to zero.
 
     Returns
     -------

@@ -73,7 +73,7 @@ class SharedDivision:
     division : float
         lambda of the best model with one coefficient, whatever was chosen; NaN where none was
         found.
-    cost, straight_cost : float
+    cost : float
         Truncated squares in units of the threshold, summed over matches.
 
     """
@@ -82,7 +82,6 @@ class SharedDivision:
     sigma: float
     division: float
     cost: float
-    straight_cost: float
 
 
 def _stacked(pairs: Sequence[tuple[np.ndarray, np.ndarray]], straight: DivisionModel) -> _Data:
@@ -152,7 +151,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     one = _descended(data, flat.F, np.zeros(1), coarse, limit, quick=True)
     if explained and one.cost > _HOPELESS * flat.cost:
         return SharedDivision(straight, float(one.sigmas[0]), float(one.coefficients[0]),
-                              flat.cost, flat.cost)
+                              flat.cost)
     order = [step for step in sorted(starts, key=lambda step: starts[step][0])
              if step != _STRAIGHT or explained]
     # where straight lines leave much, the coarse comparison does not decide
@@ -176,8 +175,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         bent = best.cost < clear_gain * flat.cost
         bent &= abs(best.coefficients[0]) > _SIGNIFICANT * best.sigmas[0]
     model = DivisionModel(tuple(best.coefficients.tolist()), image_size) if bent else straight
-    return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
-                          flat.cost)
+    return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost)
 
 
 @dataclass(frozen=True)

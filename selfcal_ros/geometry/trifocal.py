@@ -160,7 +160,7 @@ def _propagated(rows: np.ndarray, values: np.ndarray, T: np.ndarray, views: Sequ
     if spreads is not None:
         by_point = np.einsum('mevc,vmcd->mevd', by_point, spreads, optimize=True)
     count = len(by_point)
-    influence, expected = null_influence(rows, values, by_point.reshape(count, 4, 6))
+    influence, expected = null_influence(rows, by_point.reshape(count, 4, 6))
     square = float(((rows @ values) ** 2).sum())
     noise = np.sqrt(square / expected) if expected > 0 else 0.0
     flat = influence.reshape(-1, influence.shape[-1])

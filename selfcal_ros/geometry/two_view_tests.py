@@ -41,15 +41,14 @@ class PairVerdicts:
     parallax, rotation : ndarray of bool, shape (n,)
     noise_px : ndarray, shape (n,)
         Of one image coordinate, by the general fundamental matrix.
-    planar_px, translation_px, parallax_px : ndarray, shape (n,)
-        The same by planar motion, by pure translation, and by a homography.
+    translation_px, parallax_px : ndarray, shape (n,)
+        The same by pure translation, and by a homography.
 
     """
 
     parallax: np.ndarray
     rotation: np.ndarray
     noise_px: np.ndarray
-    planar_px: np.ndarray
     translation_px: np.ndarray
     parallax_px: np.ndarray
 
@@ -88,18 +87,15 @@ def _transfer_cost(a: np.ndarray, b: np.ndarray, w: np.ndarray) -> np.ndarray:
     return cost
 
 
-def classify_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray, planar_cost: np.ndarray,
-                   ) -> PairVerdicts:
+def classify_pairs(data: PairMatches, cost: np.ndarray) -> PairVerdicts:
     """
     Test every pair for parallax and for rotation.
 
     Parameters
     ----------
     data : PairMatches
-    F : ndarray, shape (n, 3, 3)
-        General fundamental matrices, refined, normalised coordinates.
-    cost, planar_cost : ndarray, shape (n,)
-        Costs (A.2) of the general and the planar form, px^2.
+    cost : ndarray, shape (n,)
+        Costs (A.2) of the refined general fundamental matrices, px^2.
 
     Returns
     -------
@@ -109,7 +105,6 @@ def classify_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray, planar_co
     count = data.counts
     # each of the two distances of a match has variance 2 sigma^2
     noise = np.sqrt(cost / (4 * np.maximum(count - 7, 1)))
-    planar = np.sqrt(planar_cost / (4 * np.maximum(count - 6, 1)))
     translation_cost = refine_translation(data)[1]
     translation = np.sqrt(translation_cost / (4 * np.maximum(count - 2, 1)))
     homography = np.sqrt(homography_cost(data) / (4 * np.maximum(2 * count - 8, 1)))
@@ -117,5 +112,4 @@ def classify_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray, planar_co
     # a perfect fit without spare matches says nothing of the noise
     parallax = (homography > PARALLAX_RATIO * floor) & (count >= 8)
     statistic = (translation_cost - cost) / 5 / (4 * floor ** 2)
-    return PairVerdicts(parallax, statistic > ROTATION_STATISTIC, noise, planar, translation,
-                        homography)
+    return PairVerdicts(parallax, statistic > ROTATION_STATISTIC, noise, translation, homography)

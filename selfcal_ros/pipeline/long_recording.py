@@ -162,7 +162,7 @@ def calibrate_long(source: FrameSource, settings: CalibrationSettings, policy: L
     if not (any(one.result for one in followed) or hopeless) and (
             source.count or 0) <= policy.whole:
         return None
-    return _together(source, settings, followed, found, glances)
+    return _together(source, followed, found, glances)
 
 
 def _look_through(source: FrameSource, policy: LongRecordings, mask: ImageMask | None,
@@ -255,7 +255,7 @@ def _tracks(extraction: Extraction, source: FrameSource) -> Tracks:
             else extraction.tracks)
 
 
-def _together(source: FrameSource, settings: CalibrationSettings, followed: list[FollowedSegment],
+def _together(source: FrameSource, followed: list[FollowedSegment],
               found: dict[Segment, Extraction], glances: list[Glance],
               ) -> tuple[Calibration | NotCalibrated, LongReading]:
     """Combine what the segments say."""

@@ -81,7 +81,7 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
         figure.align_ylabels(axes)
         if not used.all():
             axes[0].legend(loc='best')
-        _label_places(axes[-1], camera, shown, timed)
+        _label_places(axes[-1], camera, timed)
     return figure
 
 
@@ -117,7 +117,7 @@ def _places(camera: CameraSummary, shown: Sequence[int]) -> tuple[np.ndarray, bo
     return np.array([datetime.fromtimestamp(start / 1e9, timezone.utc) for start in starts]), True
 
 
-def _label_places(axis: Axes, camera: CameraSummary, shown: Sequence[int], timed: bool) -> None:
+def _label_places(axis: Axes, camera: CameraSummary, timed: bool) -> None:
     """Say what the places are."""
     if timed:
         from matplotlib import dates

@@ -115,7 +115,7 @@ def camchain(rig: RigCalibration, topics: Mapping[str, str] | None = None) -> st
         return None
     text, before = f'# {rig.software}\n', None
     for k, (name, one) in enumerate(rig.cameras.items()):
-        entry = kalibr_text(one.camera, name, (topics or {}).get(name) or f'/{name}/image_raw')
+        entry = kalibr_text(one.camera, (topics or {}).get(name) or f'/{name}/image_raw')
         entry = entry.replace('cam0:', f'cam{k}:', 1)
         if before is not None:
             T = rig.between(name, before)

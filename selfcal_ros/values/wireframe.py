@@ -231,7 +231,7 @@ class WireframeModel:
         same = same_place(vertices)
         known = {frozenset((same[a], same[b])) for a, b in lines
                  if 0 <= min(a, b) and max(a, b) < len(vertices)}
-        for (a, b), sides in _borders(vertices, faces, same).items():
+        for (a, b), sides in _borders(faces, same).items():
             if frozenset((a, b)) not in known and not _is_flat(vertices, faces, (a, b), sides,
                                                                same):
                 lines.append((a, b))
@@ -259,7 +259,7 @@ class WireframeModel:
         """For each line the faces that it bounds: a tuple of none, one, two or more indices."""
         same = self._same
         borders = {frozenset(pair): sides
-                   for pair, sides in _borders(self.vertices, self.faces, same).items()}
+                   for pair, sides in _borders(self.faces, same).items()}
         return tuple(tuple(borders.get(frozenset((same[a], same[b])), ())) for a, b in self.lines)
 
     def into_face(self, line: int, face: int) -> np.ndarray:
@@ -355,8 +355,7 @@ def _check_faces(vertices: np.ndarray, faces: Sequence[Polygon]) -> None:
             raise ArgumentError(f'Face {k} names a point twice.')
 
 
-def _borders(vertices: np.ndarray, faces: Sequence[Polygon], same: np.ndarray,
-             ) -> dict[tuple[int, int], list[int]]:
+def _borders(faces: Sequence[Polygon], same: np.ndarray) -> dict[tuple[int, int], list[int]]:
     """Faces on each border, by (vertex, vertex) as first met."""
     borders: dict[tuple[int, int], list[int]] = {}
     key: dict[frozenset[int], tuple[int, int]] = {}

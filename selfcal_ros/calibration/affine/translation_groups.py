@@ -66,8 +66,6 @@ class PairTests:
         Standard deviation of an image coordinate by general F.
     motion_px : ndarray, shape (n,)
         Median displacement of the points.
-    epipole : ndarray, shape (n, 3)
-        Of F = [e]x, unit norm, undistorted pixels.
 
     """
 
@@ -76,7 +74,6 @@ class PairTests:
     limit: np.ndarray
     noise_px: np.ndarray
     motion_px: np.ndarray
-    epipole: np.ndarray
 
     @property
     def translated(self) -> np.ndarray:
@@ -154,7 +151,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int],
     pairs = pairs_with_matches(tracks)
     if not len(pairs):
         none = np.zeros(0)
-        return PairTests(pairs, none, none, none, none, np.zeros((0, 3))), (0.0, 0.0)
+        return PairTests(pairs, none, none, none, none), (0.0, 0.0)
     radial = estimate_radial(tracks, size, pairs) if radial is None else radial
     parts = [_tested(tracks, size, pairs[at:at + AT_ONCE], radial)
              for at in range(0, len(pairs), AT_ONCE)]
@@ -167,7 +164,7 @@ def _tested(tracks: Tracks, size: tuple[int, int], pairs: np.ndarray,
     samples = [(undo_radial(a, radial, size), undo_radial(b, radial, size))
                for a, b in sampled_matches(tracks, pairs, MAX_MATCHES)]
     data, cost = general_geometry(PairMatches.from_pixels(samples))
-    F, translation_cost, _, _ = refine_translation(data, COST_TOLERANCE)
+    _, translation_cost, _, _ = refine_translation(data, COST_TOLERANCE)
     count = (data.weight > 0).sum(axis=1)
     # each of the two distances of a match has variance 2 sigma^2
     noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), MIN_RESIDUAL_PX)
@@ -175,11 +172,8 @@ def _tested(tracks: Tracks, size: tuple[int, int], pairs: np.ndarray,
     limit = f_isf(SIGNIFICANCE, 5, np.maximum(count - 7, 1))
     tolerated = np.maximum(TOLERATED_DIAGONALS * np.hypot(*size) / noise, TOLERATED_SIGMAS)
     limit = limit + tolerated**2 * count / 5
-    F = data.pixels_F(F)
     motion = np.array([np.median(np.linalg.norm(b - a, axis=1)) for a, b in samples])
-    epipole = np.stack([F[:, 2, 1], F[:, 0, 2], F[:, 1, 0]], axis=1)
-    epipole /= np.linalg.norm(epipole, axis=1, keepdims=True)
-    return statistic, limit, noise, motion, epipole
+    return statistic, limit, noise, motion
 
 
 def translation_groups(tracks: Tracks, size: tuple[int, int],

@@ -47,8 +47,6 @@ class PathDescription:
     motion : str
     rotation_rad : float
         Largest angle between two views.
-    tilt_rms_rad : float
-        Out-of-plane rotation, root mean square.
     refusal : NoEstimate or None
         Why no calibration can come from such motion.
     findings : tuple of Finding
@@ -59,7 +57,6 @@ class PathDescription:
 
     motion: Motion
     rotation_rad: float
-    tilt_rms_rad: float
     refusal: NoEstimate | None
     findings: tuple[Finding, ...]
     roll_rad: float
@@ -149,7 +146,7 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
         findings.append(Finding('circular_motion'))
     if motion in ('planar', 'circular') and not exact:
         findings.append(Finding('not_exactly_planar', tilt_deg=float(np.degrees(tilt))))
-    return PathDescription(motion, rotation, tilt, refusal, tuple(findings), roll)
+    return PathDescription(motion, rotation, refusal, tuple(findings), roll)
 
 
 def axis_place(path: AxisPath) -> np.ndarray | None:

@@ -59,14 +59,11 @@ class PairLens:
         None for straight lines.
     division : float
         lambda of the lens with one coefficient, radii in half diagonals; 0 for straight lines.
-    sigma : float
-        Its standard deviation; infinite where the pairs do not tell.
 
     """
 
     model: DivisionModel | None = None
     division: float = 0.0
-    sigma: float = float('inf')
 
     def inliers(self, samples: list[Sample], rng: np.random.Generator,
                 threshold_px: float) -> list[np.ndarray | None]:
@@ -121,9 +118,7 @@ class PairLens:
             return self
         model = replace(self.model, coefficients=tuple(fit.coefficients.tolist()))
         if len(start) == 1:
-            spare = max(weight.sum() - 7 * len(F) - 1, 1)
-            return PairLens(model, float(fit.coefficients[0]),
-                            float(np.sqrt(fit.covariance[0, 0] * fit.cost / spare)))
+            return PairLens(model, float(fit.coefficients[0]))
         return replace(self, model=model)
 
     def _of_units(self, F: np.ndarray) -> np.ndarray:
@@ -175,7 +170,7 @@ def choose_lens(compared: list[Sample], image_size: tuple[int, int] | None,
                             _CLEAR_GAIN)
     if found is None or found.model.straight:
         return PairLens()
-    return PairLens(found.model, found.division, found.sigma)
+    return PairLens(found.model, found.division)
 
 
 def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,

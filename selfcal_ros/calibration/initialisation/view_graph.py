@@ -74,9 +74,6 @@ class ViewGraph:
         lambda of the division model that bends the epipolar lines, for radii in half diagonals
         of the image (`geometry/division.py`); 0 where straight lines suffice. Of one
         coefficient, also where `lens` has two.
-    division_sigma : float
-        Its standard deviation; infinite where it is not known, as where homographies told the
-        lens: of one plane, or of a camera that only turned.
     lens : DivisionModel, optional
         The model that the pairs' F and `noise_px` go by; None for straight lines.
     given : Tracks, optional
@@ -92,7 +89,6 @@ class ViewGraph:
     parallax: float
     usual_parallax: float = float('inf')
     division: float = 0.0
-    division_sigma: float = float('inf')
     lens: DivisionModel | None = None
     given: Tracks | None = None
 
@@ -344,5 +340,5 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = 
     return ViewGraph(frames[largest], kept, pairs, noise_px, rejected,
                      parallax=float(left_px.max()) / floor_px,
                      usual_parallax=float(np.median(left_px)) / floor_px,
-                     division=turning.division, division_sigma=turning.sigma, lens=lens.model,
+                     division=turning.division, lens=lens.model,
                      given=tracks)

@@ -84,7 +84,7 @@ def calibrate_circular(circular_point: ArrayLike, screw_axis: ArrayLike, facts: 
     spread = None
     if covariance is not None:
         spread = _covariance(K, stated, axis, square, facts, np.asarray(covariance, float))
-    return PencilCalibration(K, iac_from_calibration(K), fact, {}, spread)
+    return PencilCalibration(K, iac_from_calibration(K), fact, spread)
 
 
 def _covariance(K: np.ndarray, i: np.ndarray, axis: np.ndarray, square: np.ndarray,

@@ -54,10 +54,6 @@ class PencilCalibration:
     fact : str
         Which fact picked it: 'aspect_ratio', 'skew', 'principal_point', or several joined
         by '+'.
-    leverage : dict of str to float
-        Per fact, change of the camera per unit change of the fact, see `LEVERAGE_LIMIT`; at
-        least about 1, and large where the fact is nearly useless, as zero skew is with a level
-        horizon.
     covariance : ndarray, shape (5, 5), optional
         Of fx, fy, cx, cy, skew in pixels; first order, from that of the fixed points and from
         the sigmas of the facts. None where the former is not known.
@@ -67,7 +63,6 @@ class PencilCalibration:
     K: np.ndarray
     omega: np.ndarray
     fact: str
-    leverage: dict[str, float]
     covariance: np.ndarray | None = None
 
 
@@ -215,7 +210,6 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts,
             return NoEstimate('skew_without_hold', tilt_deg=float(np.degrees(ratio)))
         return failure
     _, _, mu, slopes = min(candidates, key=lambda c: (c[0], c[1]) if len(known) > 1 else c[1])
-    leverage = {name: _leverage(slopes[name]) for name in slopes}
     joint = _leverage(np.concatenate([slopes[name] for name in known]))
     if joint > LEVERAGE_LIMIT:
         tilt = np.degrees(np.arctan2(abs(working.horizon[0]), abs(working.horizon[1])))
@@ -232,7 +226,7 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts,
         return NoEstimate('skew_too_large', skew_px=float(K[0, 1]), focal_px=float(K[0, 0]))
     if covariance is not None:
         covariance = calibration_covariance(K, pencil, mu, covariance)
-    return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage, covariance)
+    return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), covariance)
 
 
 def _closed_form(name: str, pencil: Pencil) -> list[float]:

@@ -74,14 +74,10 @@ class FixedPointEstimate:
     motion : {'planar', 'circular'}
     pairs : PlanarPairs
         With the covariances of l and v.
-    pair_frames : ndarray of int, shape (n, 2)
-        Frame indices of every pair.
     canonical : ndarray, shape (3, 3)
         Canonical transform of l and v.
     kappa : complex
         Circular point in the canonical frame.
-    kappa_covariance : ndarray, shape (2, 2)
-        Of its real and imaginary part, l and v held.
     covariance : ndarray, shape (15, 15)
         Of l, v, the real and the imaginary part of i, and m, all together: unit vectors in
         pixels; first order, from the image points. i moves neither along itself nor along its
@@ -98,10 +94,8 @@ class FixedPointEstimate:
     fixed: FixedPoints
     motion: PlanarMotion
     pairs: PlanarPairs
-    pair_frames: np.ndarray
     canonical: np.ndarray
     kappa: complex
-    kappa_covariance: np.ndarray
     covariance: np.ndarray
     triplet_frames: np.ndarray
     triplet_kappas: np.ndarray
@@ -185,8 +179,8 @@ def fixed_points(tracks: Tracks, triplets: ArrayLike | None = None, method: Meth
     findings = () if len(found.kept) == pairs else (
         Finding('pairs_degenerate', left_out=pairs - len(found.kept), pairs=pairs),)
     return FixedPointEstimate(
-        FixedPoints(l_px, v_px, i), found.motion, found.result, frames[matched.views[found.kept]],
-        H, combined.kappa, variance * spread(combined.direct), variance * spread(together),
+        FixedPoints(l_px, v_px, i), found.motion, found.result,
+        H, combined.kappa, variance * spread(together),
         frames[combined.triplets], combined.kappas, found.screw_axis, findings)
 
 

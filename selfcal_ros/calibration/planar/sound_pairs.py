@@ -152,7 +152,7 @@ def sound_pairs(data: PairMatches, trim_sigma: float) -> SoundPairs | NoEstimate
     if fewer is not data:
         data = fewer
         F, cost, state, planar_cost = agreed_pairs(data, F, cost)
-    verdicts = classify_pairs(data, F, cost, planar_cost)
+    verdicts = classify_pairs(data, cost)
     kept = np.flatnonzero(verdicts.sound)
     if not len(kept):
         return _why_none(verdicts)

@@ -59,7 +59,7 @@ class FocalEvidence:
 
     Attributes
     ----------
-    rate, rate_sigma : float
+    rate : float
         Change of log f from the first view to the last, were it steady.
     walk_sigma : float
         Of `ZoomModel`: the size of random walk that is the most probable.
@@ -67,18 +67,14 @@ class FocalEvidence:
         Log of the probability over that of a constant focal length.
     beyond_gain : float
         Log of the probability of a random walk about steady growth over that of the growth.
-    beyond_sigma : float
-        The size of that walk.
 
     """
 
     rate: float
-    rate_sigma: float
     walk_sigma: float
     steady_gain: float
     walk_gain: float
     beyond_gain: float
-    beyond_sigma: float
 
     @property
     def gain(self) -> float:
@@ -145,10 +141,8 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflati
     steady = np.diff(model.course) / gaps
     rate, information, along = _steady_growth(own, pull, steady)
     walk_gain, walk_sigma = _best_walk(own, pull)
-    beyond_gain, beyond_sigma = _best_walk(own - np.outer(along, along),
-                                           pull + rate * (own @ steady))
-    return FocalEvidence(rate, 1 / np.sqrt(max(information, 1e-300)), walk_sigma,
-                         0.5 * rate**2 * information, walk_gain, beyond_gain, beyond_sigma)
+    beyond_gain, _ = _best_walk(own - np.outer(along, along), pull + rate * (own @ steady))
+    return FocalEvidence(rate, walk_sigma, 0.5 * rate**2 * information, walk_gain, beyond_gain)
 
 
 def _steady_growth(own: np.ndarray, pull: np.ndarray, steady: np.ndarray,

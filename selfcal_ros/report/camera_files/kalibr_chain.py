@@ -101,7 +101,7 @@ def holds(camera: Camera) -> bool:
     return camera.model in known or plumb is not None and plumb[4] == 0
 
 
-def kalibr_text(camera: Camera, name: str = '', topic: str = '') -> str:
+def kalibr_text(camera: Camera, topic: str = '') -> str:
     """
     Write a camera as a chain of one.
 

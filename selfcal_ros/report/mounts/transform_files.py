@@ -38,8 +38,8 @@ from selfcal_ros.geometry.rotation import roll_pitch_yaw
 from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.values.output_files import atomic_write
 
-#: Frames where a file or a recording names none.
-BODY_FRAME, CAMERA_FRAME = 'base_link', 'camera_optical_frame'
+#: Frame of the camera where a file or a recording names none.
+CAMERA_FRAME = 'camera_optical_frame'
 #: Before the joint of a camera_link, in a comment of a URDF.
 AXES = 'axes x forward, y left, z up, for a camera_link in the lens'
 #: The first line of a launch file.

@@ -63,8 +63,6 @@ class TwoViewPoints:
         of them together do not count. This is what a model suffers from.
     moved : ndarray, shape (3,)
         What is added to the points from the first view to the second, metres.
-    residuals_px : ndarray, shape (N,)
-        Distances of the image points from where the translation allows them.
     noise_px : float
         Standard deviation of an image coordinate that the residuals show.
     sigma_px : float
@@ -76,7 +74,6 @@ class TwoViewPoints:
     covariances: np.ndarray
     shape_covariances: np.ndarray
     moved: np.ndarray
-    residuals_px: np.ndarray
     noise_px: float
     sigma_px: float
 
@@ -167,12 +164,11 @@ def points_from_translation(first_px: ArrayLike, second_px: ArrayLike, camera: C
     size = scale(points, moved)
     if not (np.isfinite(size) and size > 0):
         return NoEstimate('known_length_zero')
-    residuals = np.sqrt((found.residuals**2).sum(axis=1) / 2)
     points = size * points
     ends = None if known_length is None else known_length[:2]
     return TwoViewPoints(points, size**2 * covariances,
                          shape_covariances(points, sigma_px * size * jacobian, ends),
-                         size * moved, residuals, noise, sigma_px)
+                         size * moved, noise, sigma_px)
 
 
 def _scale_fact(count: int, baseline_m: float | None, known_length: tuple[int, int, float] | None,
