@@ -74,7 +74,8 @@ class Suggestion:
 
 
 def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple[str, ...],
-                    fraction: float = 1.0) -> list[Suggestion]:
+                    fraction: float = 1.0,
+                    rng: np.random.Generator | None = None) -> list[Suggestion]:
     """
     Rank motions by how well they would determine some parameters.
 
@@ -88,6 +89,8 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple[str, ...
         The parameters that matter, among `Camera.parameter_names`.
     fraction : float
         Of all observations that the fit uses.
+    rng : numpy.random.Generator, optional
+        A fixed seed by default: the same images give the same advice.
 
     Returns
     -------
@@ -95,8 +98,7 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple[str, ...
         The most helpful first; empty where none can be simulated.
 
     """
-    # the same images give the same advice
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0) if rng is None else rng
     state, bundle = fit.state, fit.bundle
     depths = _depths(fit)
     if depths is None or not names:
