@@ -126,10 +126,13 @@ def _shutter_rows(result: Calibration) -> list[Row]:
     shutter = result.shutter
     if shutter is None:
         return []
-    unit, scale = 'intervals between frames', 1.0
-    if shutter.line_delay_s is not None:
-        unit, scale = 'ms', 1e3 * shutter.line_delay_s * shutter.rows / shutter.intervals
-    text, sigma = with_sigma(scale * shutter.intervals, abs(scale) * shutter.intervals_sigma)
+    if shutter.line_delay_s is None or shutter.sigma_s is None:
+        unit = 'intervals between frames'
+        value, spread = shutter.intervals, shutter.intervals_sigma
+    else:
+        unit, per_line = 'ms', 1e3 * shutter.rows
+        value, spread = per_line * shutter.line_delay_s, per_line * shutter.sigma_s
+    text, sigma = with_sigma(value, spread)
     return [Row('readout', f'time in which all {shutter.lines} are read, {unit}', text, sigma, '',
                 shutter.status)]
 

@@ -16,9 +16,12 @@
 from dataclasses import replace
 import re
 
+import pytest
 from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.page import page_html
+from selfcal_ros.report.phrases import parameter_rows
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
 
@@ -47,6 +50,22 @@ def test_notes_are_ranked_by_what_they_do(calibration):
     assert texts[-2:] == [str(found[0]), 'From outside.'] and 'field of view' in texts[3]
     assert [note.doubtful for note in ranked_notes(result)[:2]] == [True, False]
     assert ranked_notes(NotCalibrated('No.'), ('Why.',))[0].text == 'Why.'
+
+
+def test_the_focal_length_has_its_relative_sigma(calibration):
+    rows = {row.name: row for row in parameter_rows(calibration)}
+    K = calibration.camera.K
+    assert rows['fx'].share == f'{100 * 2.0 / K[0, 0]:.2g} %' and rows['cx'].share == ''
+
+
+@pytest.mark.parametrize('shutter, unit, value, sigma', [
+    (RowReadout(-20e-6, 1e-7, 'estimated', -0.288, 0.00144, 480), 'ms', -9.6, 0.048),
+    (RowReadout(0.0, 0.0, 'held', 0.0, 0.0, 480), 'ms', 0.0, 0.0),
+    (RowReadout(None, None, 'estimated', 0.25, 0.01, 480), 'between frames', 0.25, 0.01)])
+def test_the_time_of_a_readout_has_its_unit(calibration, shutter, unit, value, sigma):
+    row = parameter_rows(replace(calibration, shutter=shutter))[-1]
+    assert row.name == 'readout' and row.meaning.endswith(unit)
+    assert float(row.value) == value and float(row.sigma or 0) == sigma
 
 
 def test_how_the_page_was_made(html):
