@@ -15,12 +15,18 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry.robust_scale import robust_sigma
+from selfcal_ros.geometry.robust_scale import robust_sigma, robust_sigma_of_lengths
 
 
 def test_sigma_of_normal_noise():
     noise = np.random.default_rng(0).normal(scale=0.3, size=200_000)
     assert robust_sigma(noise) == pytest.approx(0.3, rel=0.01)
+
+
+def test_sigma_of_a_coordinate_follows_from_lengths():
+    noise = np.random.default_rng(2).normal(scale=0.3, size=(200_000, 2))
+    noise[::50] = 1e6
+    assert robust_sigma_of_lengths(np.linalg.norm(noise, axis=1)) == pytest.approx(0.3, rel=0.02)
 
 
 def test_gross_errors_move_it_little():
