@@ -181,13 +181,15 @@ class KltTracker:
     renews : bool
         Whether templates that are seen at another scale are taken anew at once, or only by
         `renew`.
+    first_id : int
+        Ids are given from here on.
 
     """
 
     def __init__(self, most: int = 700, least_correlation: float = 0.8,
-                 mask: ImageMask | None = None, renews: bool = True):
+                 mask: ImageMask | None = None, renews: bool = True, first_id: int = 0):
         """Start without an image."""
-        self.renews = renews
+        self.renews, self._next = renews, first_id
         self.most = most
         self.least_correlation = least_correlation
         self.mask = mask
@@ -205,7 +207,6 @@ class KltTracker:
         self._grey: np.ndarray | None = None
         self._smooth: DoubledImage | None = None
         self._ids = np.empty(0, np.int64)
-        self._next = getattr(self, '_next', 0)
         self._xy = np.empty((0, 2))
         self._affine = np.empty((0, 2, 2))
         self._residue = np.empty((0, 2))

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections import deque
+import secrets
 import time
 from typing import Any, Protocol
 
@@ -50,6 +51,9 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 #: So many images wait at most while another is followed; a short hindrance costs none.
 MOST_WAITING = 5
+#: Ids begin anywhere below this: a tracker that is started again must not give those that
+#: listeners know from the one before it. A message has room for three billion more.
+FIRST_IDS = 2 ** 30
 #: Smaller images than this hold no features worth following.
 MINIMUM_SIDE_PX = 64
 
@@ -82,7 +86,8 @@ class FeatureTrackerNode(Node):
         self.listeners: list[TracksListener] = []
         self._types = rclpy_types()
         self._decoder = ImageDecoder()
-        self._tracker = KltTracker(most=self.parameters.max_features)
+        self._tracker = KltTracker(most=self.parameters.max_features,
+                                   first_id=secrets.randbelow(FIRST_IDS))
         self._mask = _mask_of(self.parameters)
         self._circle = CircleWatch(every=5)
         self._views = TwoViewsWatch()

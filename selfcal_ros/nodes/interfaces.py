@@ -80,7 +80,8 @@ INTERFACES = {
         Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
         Endpoint('out', 'tracks', 'sensor_msgs/PointCloud2',
                  'x, y (pixels) and id of the points of each image, with its stamp and frame; '
-                 'no points where there was no time to follow them'),
+                 'no points where there was no time to follow them; no id comes twice, nor from a '
+                 'tracker that is started again'),
         Endpoint('out', 'tracks/announced', 'sensor_msgs/CameraInfo',
                  'stamp, frame and size of each image before its points are followed, without a '
                  'calibration; a calibrator answers it at once'),

@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+from test_support import image_stream
 
 STEP_PX = 4
 
@@ -104,6 +105,22 @@ def test_images_are_subscribed_to_only_while_somebody_listens(graph):
     graph.wait_for(lambda: publisher.get_subscription_count() > 0)
     graph.probe.destroy_subscription(listener)
     graph.wait_for(lambda: publisher.get_subscription_count() == 0)
+
+
+def test_a_tracker_that_is_started_again_gives_other_ids(graph):
+    graph = graph()
+    tracks = graph.listen(PointCloud2, 'tracks')
+    camera = graph.probe.create_publisher(Image, 'image', 5)
+    seen = []
+    for run in range(2):
+        node = graph.add(FeatureTrackerNode())
+        image_stream.play(graph, camera, image_stream.image, tracks, 2, first=2 * run)
+        seen.append(set(tracks_from_message(tracks[-1]).track.tolist()))
+        graph.executor.remove_node(node)
+        graph.nodes.remove(node)
+        node.destroy_node()
+    # points of two runs that bear one id would be one point to a calibrator
+    assert min(map(len, seen)) > 30 and not seen[0] & seen[1]
 
 
 def test_time_that_jumps_back_gives_new_points_only(graph):
