@@ -161,6 +161,23 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed):
     assert result.shutter is None
 
 
+@pytest.mark.parametrize('seed', [0, 2])
+def test_views_move_by_themselves_beside_a_zoom(seed):
+    # before, both were refused as unexplained: rows were not asked for beside a zoom
+    rng = np.random.default_rng([seed, 5])
+    sequence = record(rng, hand(rng), READOUT_S, STEP_S * np.arange(10), points=140)
+    tracks, centre = sequence.tracks, CAMERA.K[:2, 2]
+    scale = np.exp(0.04 * (tracks.frame / 9 - 0.5))[:, None]
+    result = calibrate(replace(tracks, xy=centre + scale * (tracks.xy - centre)), facts=SQUARE)
+    error = (result.camera.parameters - sequence.camera.parameters)[[0, 2, 3]]
+
+    assert {'rows_by_view', 'focal_drifts'} <= {finding.kind for finding in result.findings}
+    assert (np.abs(error) < [4 * result.sigma[name] for name in ('fx', 'cx', 'cy')]).all()
+    assert abs(error[0]) < 0.006 * 520 and result.noise_sigma_px < 0.23
+    fx = result.focal.fx
+    assert np.log(fx[-1] / fx[0]) == pytest.approx(0.04, abs=0.005)
+
+
 def test_motion_that_no_size_is_enough_for_is_not_that_of_rows(monkeypatch):
     """Paths that were wrong asked for more than the interval: 17 sigma and 74 % off in silence."""
     monkeypatch.setattr(own_rows_choice, 'SIZES', own_rows_choice.SIZES[:8])

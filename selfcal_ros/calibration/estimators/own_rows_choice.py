@@ -72,7 +72,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
 
     """
     fit, clock = decision.fit, decision.fit.observations.clock
-    if clock is None or fit.observations.neighbours is not None or fit.motion.zoom is not None:
+    if clock is None or fit.observations.neighbours is not None:
         return decision
     read = ([fit] if fit.observations.shutter is not None
             else [by_clock(fit, one) for one in possible_clocks(clock, size)])
