@@ -413,6 +413,26 @@ def test_a_false_zoom_moves_what_stands_still(seed):
     assert explained_share(true, magnified, of_still) > 0.98
 
 
+@pytest.mark.parametrize('seed', range(21, 23))
+def test_what_leaves_less_of_all_tracks_than_others_of_still_ones_is_no_rival(seed):
+    """Tracks that no fit explains counted against a zoom that left half the noise."""
+    path = poses(np.random.default_rng(seed))
+    tracks = world(np.random.default_rng(seed))
+    scale = np.where(np.arange(VIEWS) < 5, 1.0, 1.06)[tracks.frame, None]
+    xy = [320, 240] + scale * (tracks.xy - [320, 240])
+    # every eighth track goes astray
+    xy[tracks.track % 8 == 0, 0] += 2.0 * tracks.frame[tracks.track % 8 == 0]
+    magnified = Tracks(tracks.frame, tracks.track, xy, (640, 480))
+    constant = fitted(magnified, path)
+    zoomed = zoomed_fit(constant, tuple(range(VIEWS)))
+    names = np.unique(tracks.track)
+    labels = TrackLabels(names, np.full(len(names), STATIC), 0)
+
+    assert explained_share(zoomed, magnified, names) < 0.95
+    assert zoomed.bundle.noise_rms(zoomed.state) < 0.8 * constant.bundle.sigma_px
+    assert explains_all(zoomed, constant, magnified, labels)
+
+
 @pytest.mark.parametrize('seed', range(31, 35))
 def test_a_few_tracks_make_no_zoom(seed):
     rng = np.random.default_rng(seed)

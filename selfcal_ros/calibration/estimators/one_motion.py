@@ -358,7 +358,9 @@ def parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
                       proposals: list[Camera], first: RobustFit, near: RobustFit,
                       ) -> Calibration | NoEstimate:
     """Part what moves, which bends the path until a zoom seems to mend it; else let it zoom."""
-    rival = zoomed_fit(first, problem.window().instants)
+    # rows that are read in turn move tracks, too: a zoom without them explains less than it would
+    told = first if near.observations.shutter is None else near
+    rival = zoomed_fit(told, problem.window().instants)
     bent = first.state.camera(*problem.size)
     parted = calibrate_coherent_tracks(problem, graph, [
         bent.magnified(factor) for factor in BESIDE_BENT], with_any_focal, rival)

@@ -57,6 +57,9 @@ DRIFTS, FEW_DRIFTING = 1.25, 0.08
 #: it. True zooms and second cameras explain 0.99 and 0.9 and more; false zooms 0.68 to 0.88, or
 #: more if they are small, and 0.28 to 0.59.
 ALL, MOST_MOVING = 0.95, 0.75
+#: A fit of all tracks that leaves less than this share of what another leaves of its still tracks
+#: alone explains more: what moves adds to the noise, and never takes from it.
+LESS_OF_ALL = 0.8
 #: What no still point explains hides a body where fewer tracks stand out, if one is seen in so
 #: many views: in three, views that are off by themselves pass for one.
 BODY_VIEWS = 4
@@ -169,9 +172,13 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
 
     A model with more freedom may be the true one. Then all points that stand by the other stand by
     it, too, but for chance, and what seemed to move stands still. If things that move have bent
-    it, it explains neither.
+    it, it explains neither. The other may lack what both need, as rows that are read in turn. Then
+    it leaves more of its still tracks than the rival leaves of all.
     """
-    sigma_px = min(rival.bundle.noise_rms(rival.state), still.bundle.sigma_px)
+    left_px = rival.bundle.noise_rms(rival.state)
+    if left_px < LESS_OF_ALL * still.bundle.sigma_px:
+        return True
+    sigma_px = min(left_px, still.bundle.sigma_px)
     fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))
     moving = labels.track[labels.label >= MOVING]
     return (explained_share(fine, given, labels.track[labels.label == STATIC]) > ALL
