@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
                                                                translated_pair)
-from selfcal_ros.calibration.affine.diac import (_members, constraint_rows, linear_conic,
-                                                 unit_determinant)
+from selfcal_ros.calibration.affine.diac import (_members, camera_from_dual_conic,
+                                                 constraint_rows, linear_conic, unit_determinant)
 from selfcal_ros.calibration.structure.metric_structure import distance_error
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -97,6 +97,45 @@ def test_known_aspect_ratio_settles_a_rotation_about_x():
 def test_one_axis_without_a_fact_is_refused():
     found = calibrate_affine(_sequence(0, 1).tracks, (0, 1), SIZE)
     assert found.kind == 'rotations_about_one_axis'
+
+
+def _about(axis, seed, count=2, camera=None, noise_px=CORNER_NOISE_PX):
+    """Rotations of 5 to 15 degrees about one axis of the camera."""
+    rng = np.random.default_rng([seed, count])
+    angles = rng.uniform(5, 15, count) * rng.choice([-1, 1], count)
+    return grid_sequence(rng, np.outer(angles, axis / np.linalg.norm(axis)), noise_px, camera)
+
+
+@pytest.mark.parametrize('axis, facts', [
+    # of the family of an axis in the plane of x and z every member has zero skew
+    ((1, 0, 1), ZERO_SKEW),
+    # and one about a diagonal has an aspect ratio that a change of the focal length leaves
+    ((1, 1, 0), CameraFacts(aspect_ratio=1.5)), ((1, 1, 1), CameraFacts(aspect_ratio=1.5))])
+def test_a_fact_without_hold_on_the_family_gives_no_confident_camera(axis, facts):
+    refused = 0
+    for seed in (7, 11, 0, 5, 84):
+        found = calibrate_affine(_about(np.array(axis), seed).tracks, (0, 1), SIZE, facts)
+        if not found:
+            assert found.kind in ('rotations_about_one_axis', 'rotations_about_camera_axis')
+            refused += 1
+            continue
+        away = _parameters(found.K) - _parameters(grid_camera().K)
+        assert (np.abs(away) <= 3 * np.sqrt(np.diag(found.conic.covariance))).all()
+    assert refused >= 3
+
+
+def test_an_aspect_ratio_about_one_axis_has_both_its_cameras():
+    camera = grid_camera(skew=40.0)
+    K = camera.K / [[512], [512], [1]]
+    R = rotation_matrix([[0.1, 0.17, 0.0], [-0.15, -0.255, 0.0]])
+    candidates, family = linear_conic(K @ R @ np.linalg.inv(K), 0.0,
+                                      CameraFacts(aspect_ratio=1.5))
+    cameras = [camera_from_dual_conic(conic) for _, conic in candidates]
+    cameras = [found for found in cameras if not isinstance(found, NoEstimate)
+               and abs(found[1, 1] / found[0, 0] - 1.5) < 1e-6]
+    assert family and len(cameras) == 2
+    one, other = sorted(np.abs(found - K).max() for found in cameras)
+    assert one < 1e-6 and other > 0.05
 
 
 def test_translation_only_and_two_views_leave_everything_open():

@@ -163,12 +163,8 @@ def linear_conic(H: np.ndarray, noise: float = 0.0, facts: CameraFacts | None = 
     first, second = conic_matrix(Vt[5]), conic_matrix(Vt[4])
     found = []
     if facts.aspect_ratio is not None:
-        z2 = facts.aspect_ratio**2
-
-        def aspect(a: np.ndarray, b: np.ndarray) -> float:
-            return float(z2 * (a[0, 0] * b[2, 2] - a[0, 2] * b[0, 2])
-                         - a[1, 1] * b[2, 2] + a[1, 2] * b[1, 2])
-        found += _members('aspect ratio', first, second, aspect)
+        found += [('aspect ratio', conic)
+                  for conic in _members_of_aspect(first, second, facts.aspect_ratio)]
     if facts.skew == 0:
         def skewed(a: np.ndarray, b: np.ndarray) -> float:
             return float(a[0, 1] * b[2, 2] - a[0, 2] * b[1, 2])
@@ -180,6 +176,32 @@ def linear_conic(H: np.ndarray, noise: float = 0.0, facts: CameraFacts | None = 
         share = np.linalg.svd(np.column_stack([a, b]))[2][1]
         found.append(('principal point', share[0] * first + share[1] * second))
     return found, True
+
+
+def _members_of_aspect(first: np.ndarray, second: np.ndarray, aspect_ratio: float,
+                       ) -> list[np.ndarray]:
+    """
+    Members a first + b second of the family with an aspect ratio, the least skew first.
+
+    With the minor m = w22 w33 - w23² exactly m² = ratio² w33 det omega*, for any skew: a quartic.
+    Two of its roots are cameras, in general, and noise may take both away.
+    """
+    a, b = first[2, 2], second[2, 2]
+    if not np.hypot(a, b) > 0:
+        return []
+    # the end of the family is the member with w33 = 0, which is no camera
+    middle = (a * first + b * second) / np.hypot(a, b)
+    end = (a * second - b * first) / np.hypot(a, b)
+    shares = np.linspace(-2, 2, 5)
+    members = middle + shares[:, None, None] * end
+    minor = members[:, 1, 1] * members[:, 2, 2] - members[:, 1, 2]**2
+    above = minor**2 - aspect_ratio**2 * members[:, 2, 2] * np.linalg.det(members)
+    # without a real root, where the quartic is least
+    roots = np.unique(np.roots(np.polyfit(shares, above, 4)).real)
+    found = [middle + root * end for root in roots]
+    skew = [np.abs(w[0, 1] * w[2, 2] - w[0, 2] * w[1, 2])
+            / max(abs(w[1, 1] * w[2, 2] - w[1, 2]**2), 1e-300) for w in found]
+    return [found[k] for k in np.argsort(skew)]
 
 
 def _members(name: str, first: np.ndarray, second: np.ndarray,
