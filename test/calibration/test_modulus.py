@@ -19,6 +19,7 @@ from selfcal_ros.calibration.affine.modulus import (calibrate_modulus, modulus_r
                                                     projective_structure)
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.grid_scenes import grid_sequence, random_rotations
+from selfcal_ros.values.tracks import Tracks
 
 SIZE = (512, 512)
 
@@ -55,6 +56,21 @@ def test_noise_leaves_a_start_for_the_adjustment():
         scene, tracks = _general(seed, 0.126)
         found = calibrate_modulus(tracks, SIZE)
         assert abs(found.K[0, 0] / 649 - 1) < 0.06 and abs(found.K[1, 1] / 973.5 - 1) < 0.06
+
+
+def test_stated_covariance_is_that_of_the_estimates():
+    scene, tracks = _general(0, 0.0)
+    away, stated = [], []
+    for seed in range(8):
+        noise = 0.126 * np.random.default_rng([seed, 9]).normal(size=tracks.xy.shape)
+        found = calibrate_modulus(Tracks(tracks.frame, tracks.track, tracks.xy + noise), SIZE)
+        away.append((found.K - scene.camera.K)[[0, 1, 0, 1, 0], [0, 1, 2, 2, 1]])
+        stated.append(np.diag(found.conic.covariance))
+    ratio = np.sqrt(np.mean(np.square(away) / stated, axis=0))
+    assert (ratio > 0.5).all() and (ratio < 1.7).all()
+    assert 0.3 < found.conic.misfit < 1.8
+    # all entries of the homographies alike: 17 px
+    assert np.std(away, axis=0)[0] < 4
 
 
 def test_three_views_or_too_few_points_are_refused():

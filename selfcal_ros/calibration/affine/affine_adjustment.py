@@ -85,7 +85,7 @@ class Adjusted:
     sigma_px: float
 
 
-def adjust(views: AffineViews, iterations: int = 25) -> Adjusted:
+def adjust(views: AffineViews, iterations: int = 25, plane_sigma: float | None = None) -> Adjusted:
     """
     Minimise the reprojection error over cameras and points, with Huber's loss.
 
@@ -94,6 +94,9 @@ def adjust(views: AffineViews, iterations: int = 25) -> Adjusted:
     views : AffineViews
     iterations : int
         0: leave them as they are, and find the covariance only.
+    plane_sigma : float, optional
+        Of projective views, whose plane at infinity nothing holds: how far it may move all
+        cameras together, these of unit norm.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def adjust(views: AffineViews, iterations: int = 25) -> Adjusted:
     points = views.points @ frame.T
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     problem = _Adjustment(replace(views, xy=(views.xy - centre) / scale))
-    cameras, points, covariance, sigma = problem.optimise(cameras, points, iterations)
+    cameras, points, covariance, sigma = problem.optimise(cameras, points, iterations, plane_sigma)
     carry = np.kron(np.eye(int((~views.translated).sum())), np.kron(inverse, T.T))
     points = points @ np.linalg.inv(frame).T
     return Adjusted(inverse @ cameras @ frame, points / np.linalg.norm(points, axis=1)[:, None],
@@ -178,6 +181,7 @@ class _Adjustment:
         return unreduced.reduced(damping), root
 
     def optimise(self, cameras: np.ndarray, points: np.ndarray, iterations: int,
+                 plane_sigma: float | None = None,
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """
         Minimise Huber's loss; cameras, points, covariance of the cameras, and noise.
@@ -212,7 +216,7 @@ class _Adjustment:
                 if damping > 1e6:
                     break
         sigma = self.sigma(residual)
-        return cameras, points, self._covariance(cameras, points, sigma), sigma
+        return cameras, points, self._covariance(cameras, points, sigma, plane_sigma), sigma
 
     @staticmethod
     def _cost(residual: np.ndarray, sigma: float) -> float:
@@ -220,7 +224,8 @@ class _Adjustment:
         return float(huber_loss(np.where(np.isfinite(distance), distance, 1e6),
                                 _HUBER_SIGMAS).sum())
 
-    def _covariance(self, cameras: np.ndarray, points: np.ndarray, sigma: float) -> np.ndarray:
+    def _covariance(self, cameras: np.ndarray, points: np.ndarray, sigma: float,
+                    plane_sigma: float | None = None) -> np.ndarray:
         """Covariance of the free cameras' left halves, scales and depth unit held."""
         system, _ = self.system(cameras, points, sigma, 0.0)
         matrix = system.matrix
@@ -234,6 +239,14 @@ class _Adjustment:
         depth[:, :, 3] = cameras[:, :, 3]
         gauge = depth.ravel() / np.linalg.norm(depth)
         matrix = matrix + weight * np.outer(gauge, gauge)
+        if plane_sigma is not None:
+            for axis in range(3):
+                # [M + m b^T | m]: the same images of points (X, w - b X)
+                plane = np.zeros_like(cameras)
+                plane[:, :, axis] = cameras[:, :, 3]
+                plane[0] = 0
+                gauge = plane.ravel() / np.linalg.norm(plane)
+                matrix = matrix + np.outer(gauge, gauge) / plane_sigma**2
         index = np.flatnonzero(self.free)
         scaled, root = unit_diagonal(matrix[np.ix_(index, index)])
         values, vectors = np.linalg.eigh(scaled)

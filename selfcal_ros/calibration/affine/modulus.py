@@ -17,12 +17,13 @@ Affine structure from four general views by the modulus constraint (thesis 4.1.2
 With a fixed camera the homography of the plane at infinity is conjugate to a rotation, so that
 its eigenvalues have one modulus: each pair of views gives one equation in the three unknowns of
 that plane (4.7), four views six, of which three would do. A projective reconstruction comes
-first; supposed focal lengths propose planes, as the equations have many roots.
+first; supposed focal lengths propose planes, as the equations have many roots. In the end the
+homographies are weighed by what the images tell of them, with the plane left open.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +39,7 @@ from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import completed_frame, cross_matrix, unit
 from selfcal_ros.geometry.resection import resect
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.geometry.triangulation import triangulate
 from selfcal_ros.values.tracks import Tracks
 
@@ -47,6 +49,11 @@ MIN_VIEWS, MIN_POINTS = 4, 10
 _FOCAL_SWEEP = (0.65, 1.0, 1.5, 2.2, 3.2)
 #: Roots that differ by less, relative to their size, are one.
 _SAME_ROOT = 1e-3
+#: The plane at infinity is known by its homographies alone: it may move the cameras by so much.
+_PLANE_SIGMA = 0.1
+#: The plane of the modulus constraint, where all pairs weigh the same, is that of the weighed
+#: camera after so many rounds more.
+_ROUNDS = 2
 #: Largest modulus residual (root mean square) of a root, before noise is looked at.
 _MAX_RESIDUAL = 0.05
 
@@ -64,9 +71,10 @@ class ModulusCalibration:
     plane : ndarray, shape (3,)
         a of the homographies M - m a^T, in pixels of the reference.
     homographies : InfiniteHomographies
-        From the reference to the other frames; without covariance.
+        From the reference to the other frames; their covariance leaves the plane open.
     residual : float
-        Root mean square of the modulus constraints, tr H - tr H^-1 for det H = 1.
+        Root mean square of the modulus constraints, tr H - tr H^-1 for det H = 1, of the plane
+        that meets them best.
 
     """
 
@@ -129,6 +137,16 @@ def projective_structure(tracks: Tracks, size: tuple[int, int],
         Cameras in pixels, the first [I | 0].
 
     """
+    found = _projective_views(tracks, size)
+    if isinstance(found, NoEstimate):
+        return found
+    frames, views, sigma_px = found
+    return frames, views.cameras, sigma_px
+
+
+def _projective_views(tracks: Tracks, size: tuple[int, int],
+                      ) -> tuple[np.ndarray, AffineViews, float] | NoEstimate:
+    """Adjust cameras and points in a projective frame; frames, both, and the noise in pixels."""
     tracks = tracks.with_at_least(2)
     frames = tracks.frames
     a, b = np.triu_indices(len(frames), 1)
@@ -169,9 +187,10 @@ def projective_structure(tracks: Tracks, size: tuple[int, int],
         view = order[np.searchsorted(np.array(standing)[order], tracks.frame[mask])]
         points[rows] = triangulate(np.array(cameras), view, index, tracks.xy[mask])
     first = np.arange(len(standing)) == 0
-    adjusted = adjust(AffineViews(np.array(cameras), points[rows], first, view, index,
-                                  tracks.xy[mask]))
-    return np.array(standing), adjusted.cameras, adjusted.sigma_px
+    views = AffineViews(np.array(cameras), points[rows], first, view, index, tracks.xy[mask])
+    adjusted = adjust(views)
+    return (np.array(standing), replace(views, cameras=adjusted.cameras, points=adjusted.points),
+            adjusted.sigma_px)
 
 
 def _proposed_planes(cameras: np.ndarray, aspect: float) -> np.ndarray:
@@ -210,21 +229,81 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
     ModulusCalibration or NoEstimate
 
     """
+    found = _unweighted(tracks, size, facts)
+    if isinstance(found, NoEstimate):
+        return found
+    views, guess = found
+    plane = guess.plane
+    homographies = _with_covariance(views, plane)
+    conic = camera_from_homographies(homographies, size, facts)
+    for _ in range(_ROUNDS):
+        if isinstance(conic, NoEstimate):
+            break
+        plane = _plane_of(views.cameras, conic, _to_unit(size))
+        homographies = _with_covariance(views, plane)
+        conic = camera_from_homographies(homographies, size, facts)
+    if isinstance(conic, NoEstimate):
+        return conic
+    return replace(guess, plane=plane, homographies=homographies, conic=replace(
+        conic, linear_K=guess.conic.linear_K, closed_form=guess.conic.closed_form))
+
+
+def _to_unit(size: tuple[int, int]) -> np.ndarray:
+    """Similarity from pixels to coordinates of the order of one about the image's middle."""
+    scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
+    return np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
+                     [0, 0, 1]])
+
+
+def _plane_of(cameras: np.ndarray, conic: ConicCalibration, T: np.ndarray) -> np.ndarray:
+    """Plane at infinity (3,) that a camera and its rotations imply: M - m a^T ~ K R K^-1."""
+    back = np.linalg.inv(T)
+    scaled = T @ cameras[1:]
+    M, m = scaled[:, :, :3] @ back, scaled[:, :, 3]
+    weight = 1 / np.linalg.norm(M, axis=(1, 2))
+    K = T @ conic.K
+    H = K @ rotation_matrix(conic.rotations) @ np.linalg.inv(K)
+    count = len(M)
+    # unknowns are a, and the scale of each view
+    A = np.zeros((count, 9, 3 + count))
+    for k in range(count):
+        A[k, :, :3] = np.kron(m[k][:, None], np.eye(3)) * weight[k]
+        A[k, :, 3 + k] = H[k].ravel()
+    right = (M * weight[:, None, None]).ravel()
+    plane: np.ndarray = np.linalg.lstsq(A.reshape(-1, 3 + count), right, rcond=None)[0][:3] @ T
+    return plane
+
+
+def _with_covariance(views: AffineViews, plane: np.ndarray) -> InfiniteHomographies:
+    """Homographies of a plane at infinity, and what they and the plane are uncertain by."""
+    cameras, points = views.cameras.copy(), views.points.copy()
+    # the frame in which the plane is at infinity
+    cameras[:, :, :3] -= cameras[:, :, 3:] * plane
+    points[:, 3] += points[:, :3] @ plane
+    adjusted = adjust(replace(views, cameras=cameras, points=points), 0, _PLANE_SIGMA)
+    H, slope = unit_determinant(adjusted.cameras[1:, :, :3])
+    n = len(H)
+    covariance = np.einsum('iab,ibjc,jdc->iajd', slope,
+                           adjusted.covariance.reshape(n, 9, n, 9), slope, optimize=True)
+    return InfiniteHomographies(H, covariance.reshape(1, 9 * n, 9 * n))
+
+
+def _unweighted(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None,
+                ) -> tuple[AffineViews, ModulusCalibration] | NoEstimate:
+    """Find the plane that meets the constraint best, and a camera that weighs all alike."""
     facts = CameraFacts() if facts is None else facts
     if len(tracks.frames) < MIN_VIEWS:
         return NoEstimate('too_few', what='camera from the modulus constraint', needed=MIN_VIEWS,
                           items='views', found=len(tracks.frames))
-    structure = projective_structure(tracks, size)
+    structure = _projective_views(tracks, size)
     if isinstance(structure, NoEstimate):
         return structure
-    frames, cameras, _ = structure
+    frames, views, _ = structure
+    cameras = views.cameras
     if len(frames) < MIN_VIEWS:
         return NoEstimate('too_few', what='camera from the modulus constraint', needed=MIN_VIEWS,
                           items=f'views that share {MIN_POINTS} points', found=len(frames))
-    # coordinates of the order of one
-    scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
-    T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
-                  [0, 0, 1]])
+    T = _to_unit(size)
     frame = np.eye(4)
     frame[:3, :3] = np.linalg.inv(T)
     scaled = T @ cameras @ frame
@@ -252,7 +331,7 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
             best = ModulusCalibration(conic, frames, pixels, homographies, residual)
     if best is None:
         return last or NoEstimate('no_plane_at_infinity')
-    return best
+    return views, best
 
 
 def propose_camera(tracks: Tracks, size: tuple[int, int],
@@ -274,8 +353,8 @@ def propose_camera(tracks: Tracks, size: tuple[int, int],
         Without distortion; empty where the constraint finds none.
 
     """
-    found = calibrate_modulus(straightened(tracks, size), size, facts)
-    if not found:
+    found = _unweighted(straightened(tracks, size), size, facts)
+    if isinstance(found, NoEstimate):
         return []
-    K = np.triu(found.K)
+    K = np.triu(found[1].K)
     return [Camera(K / K[2, 2], width=size[0], height=size[1])]
