@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     file = parser.add_argument_group('camera files')
     file.add_argument('--to', choices=(*KINDS, *TRANSFORMS),
                       help='kind to write (default: by the name of OUTPUT; .xml is OpenCV, .txt '
-                           'and .bin are COLMAP, camchain*.yaml is Kalibr, other .yaml is ROS, '
+                           'and .bin are COLMAP, *camchain*.yaml is Kalibr, other .yaml is ROS, '
                            '.cameramodel is mrcal; .urdf, .launch.py (MoveIt) and .calib '
                            '(easy_handeye2) are transforms of a camera on a robot, and so is '
                            '.yaml from one of these: tf, of static_transform_publisher)')
@@ -182,7 +182,7 @@ def kind_of_name(path: Path) -> str:
     if suffix in ('.xml', '.cameramodel'):
         return 'opencv' if suffix == '.xml' else 'mrcal'
     if suffix in ('.yaml', '.yml'):
-        return 'kalibr' if path.name.startswith('camchain') else 'ros'
+        return 'kalibr' if 'camchain' in path.name else 'ros'
     raise ArgumentError(f'The name {path.name} does not tell what to make; say it with --to '
                         f'({", ".join(KINDS)}).')
 

@@ -27,6 +27,7 @@ from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.report.copied_camera_yaml import read_copied_camera, write_copied_camera
 from test_support.command_line import selfcal, SIZE
+import yaml
 
 
 def test_compare_says_in_pixels_and_words_how_far_apart(capsys):
@@ -207,6 +208,16 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
         assert json.loads(capsys.readouterr().out)['difference_px']['max'] < 1e-6
         back, name = read_camera_yaml('back.yaml')
         assert np.array_equal(back.parameters, camera.parameters) and name == 'front'
+
+
+def test_a_name_that_kalibr_gives_makes_a_chain(capsys):
+    """Kalibr puts the name of the bag before, and `selfcal calibrate` that of the cameras."""
+    camera = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    write_camera_yaml('front.yaml', camera, 'front')
+    for name in ('drive-camchain.yaml', 'front_camchain.yaml'):
+        assert selfcal('convert', 'front.yaml', name, '--quiet') == 0
+        assert yaml.safe_load(Path(name).read_text('utf-8'))['cam0']['intrinsics'] == [
+            505, 505, 322, 241]
 
 
 @pytest.mark.parametrize('arguments, words', [
