@@ -21,11 +21,13 @@ import pickle
 import re
 from string import Formatter
 
+import numpy as np
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, Suggestion
+from selfcal_ros.calibration.uncertainty.focal_course import course_findings, FocalCourse
 from selfcal_ros.findings.closed_forms import CLOSED_FORMS
-from selfcal_ros.findings.finding import Finding, KINDS
+from selfcal_ros.findings.finding import Finding, KINDS, sentences
 from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import MOTIONS, put_in_words
 from selfcal_ros.findings.refusals import REFUSALS
@@ -205,6 +207,9 @@ def test_a_single_thing_is_spoken_of_as_one(kind, values, said):
     ('{n} {n:match|matches}', {'n': 2}, '2 matches'),
     ('{n} {n:match|matches}', {'n': 0}, '0 matches'),
     ('{n:number}', {'n': 3}, 'three'),
+    ('{r:times} times', {'r': 1.02}, '1.02 times'),
+    ('{r:times} times', {'r': 1.05}, '1.1 times'),
+    ('{r:times} times', {'r': 2.44}, '2.4 times'),
     ('{a}', {'a': ('fx', 'aspect_ratio')}, 'fx, aspect ratio'),
     ('{a:and}', {'a': ('skew', 'aspect_ratio')}, 'skew and aspect ratio'),
     ('about {a:axes}', {'a': ('x', 'y')}, 'about the x axis and about the y axis'),
@@ -222,3 +227,9 @@ def test_a_single_thing_is_spoken_of_as_one(kind, values, said):
     ('{x:.2g}', {'x': None}, 'unknown')])
 def test_values_are_put_into_words(text, values, said):
     assert put_in_words(text, values) == said
+
+
+def test_a_focal_length_that_shrinks_is_not_said_to_grow():
+    course = FocalCourse(np.arange(3), np.array([520.0, 517.0, 514.0]), np.ones(3), True)
+    said, = sentences(course_findings(course))
+    assert 'from 520.00 to 514.00 px' in said and 'grew' not in said

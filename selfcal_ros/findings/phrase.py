@@ -49,11 +49,11 @@ class _Words(Formatter):
 
     Specifications of its own: `one|many` (the first word where the number is one, else the
     second), `percent` (a fraction, without decimals), `plural` (an s unless the number is one),
-    `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would help), `frames`,
-    `names` (of files, say), `motion` (a key of `MOTIONS`), `sigmas` (what would be reached),
-    `measured` (a value with its sigma), `later` (a time, or a share of one), `changes` (several,
-    by name), `preferred` (values in place of those stated), `clause` (another finding, without
-    its full stop).
+    `number` (a small one as a word), `times` (a factor; what is more than 1 is never said to be
+    1.0), `and`, `axes`, `or_state` (facts that would help), `frames`, `names` (of files, say),
+    `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `measured` (a value with its
+    sigma), `later` (a time, or a share of one), `changes` (several, by name), `preferred` (values
+    in place of those stated), `clause` (another finding, without its full stop).
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -143,6 +143,7 @@ _ENDINGS: dict[str, Callable[[Any], str]] = {
     'or_state': lambda helps: f', or state the {" or the ".join(helps)}' if helps else '',
     'frames': _frames,
     'names': _names,
+    'times': lambda ratio: f'{ratio:.1f}' if ratio >= 1.05 else f'{ratio:.2f}',
     'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
                                       for name, value in sigma.items()),
     'measured': _measured,

@@ -34,18 +34,18 @@ REMARKS: dict[str, Phrase] = {
         'Record slower there, so that more of the scene stays in view; or leave one part out.'),
     # errors that are shared
     'errors_within_track': Phrase(
-        'Errors are shared within a track, as when its patch drifts: sigmas are {ratio:.1f} '
+        'Errors are shared within a track, as when its patch drifts: sigmas are {ratio:times} '
         'times those of independent errors for it.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Sharper images and distinct corners drift less.'),
     'errors_within_region': Phrase(
         'Errors are shared within a region of the image, as with a lens unlike its distortion '
-        'model: sigmas are {ratio:.1f} times as wide.',
+        'model: sigmas are {ratio:times} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
     'errors_within_segment': Phrase(
         'Errors are shared within a segment of images, as with jolts, moving objects or a '
-        'rolling shutter: sigmas are {ratio:.1f} times as wide.',
+        'rolling shutter: sigmas are {ratio:times} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Record a calmer drive, or a scene where nothing moves.'),
     'points_ahead_counted': Phrase(
@@ -56,12 +56,12 @@ REMARKS: dict[str, Phrase] = {
         'Move the camera by more beside its rotations, before near objects.'),
     'errors_at_object_points': Phrase(
         'Errors are shared at the same points of the object in every view, as when its '
-        'coordinates are wrong: sigmas are {ratio:.1f} times as wide.',
+        'coordinates are wrong: sigmas are {ratio:times} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Measure the object anew, or use a flatter board.'),
     'errors_within_edge': Phrase(
         'Errors are shared by the edgels of one edge, as when the model is wrong or light moves '
-        'it: sigmas are {ratio:.1f} times as wide.',
+        'it: sigmas are {ratio:times} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Check the proportions of the model; light the object evenly.'),
     'lens_deviates': Phrase(
@@ -84,12 +84,12 @@ REMARKS: dict[str, Phrase] = {
         'Nothing; near the rim the image may be off by a pixel.'),
     'regions_beyond_lens': Phrase(
         'Beyond this deviation of the lens, errors shared within regions of the image make the '
-        'sigmas {ratio:.1f} times as wide.',
+        'sigmas {ratio:times} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
     # the focal length
     'focal_drifts': Phrase(
-        'The focal length grew steadily from {first_px:.2f} to {last_px:.2f} px '
+        'The focal length changed steadily from {first_px:.2f} to {last_px:.2f} px '
         '({fraction:.2%}): fx is its mean, and every image has its own.',
         'The images contradict a constant focal length beyond four sigmas. Cameras that warm up '
         'drift so.',
