@@ -384,6 +384,13 @@ REMARKS: dict[str, Phrase] = {
         'An analogue camera sends odd and even rows one after the other, and the camera moved '
         'between them.',
         'Nothing. A camera with a progressive scan tells more in so many images.'),
+    'images_turned': Phrase(
+        'Programs turn {count} image{count:plural} by a flag, which is not applied here: the '
+        'camera is that of the images as stored, {width} x {height}.',
+        'Phones write upright images as the sensor has them, with a flag (in photographs the '
+        'orientation of EXIF). One calibration then holds however the phone is held.',
+        'Read images without the flag, too: with OpenCV cv2.IMREAD_IGNORE_ORIENTATION, of videos '
+        'cv2.CAP_PROP_ORIENTATION_AUTO = 0. Or turn the files for good, and calibrate those.'),
     'image_size_not_stated': Phrase(
         'The size of the images is not stated, so the smallest that holds all points is taken: '
         'state it with --image-size.',

@@ -31,7 +31,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import ClockName, Frame, FrameSource
 from selfcal_ros.values.foreign_files import read_limited
-from selfcal_ros.values.image_headers import MAX_FILE_BYTES
+from selfcal_ros.values.image_headers import is_turned, MAX_FILE_BYTES
 from selfcal_ros.values.tracks import Tracks
 
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.pgm', '.ppm')
@@ -134,6 +134,8 @@ class ImageFolderSource(FrameSource):
             except InputError as error:
                 self._refuse(error, index, file.name, str(file))
                 continue
+            if is_turned(data):
+                self._turned.add(index)
             yield self._checked(Frame(index, stamp, image, '', file.name, bgr))
 
 
@@ -202,6 +204,7 @@ class VideoSource(FrameSource):
     def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the frames."""
         capture = self._open()
+        turned = capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360 != 0
         try:
             for index in itertools.count():
                 stamp = round(index * 1e9 / self._rate_hz)
@@ -221,6 +224,8 @@ class VideoSource(FrameSource):
                     self._ended = index
                     return
                 image = bgr if bgr.ndim == 2 else cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+                if turned:
+                    self._turned.add(index)
                 yield self._checked(Frame(index, stamp, image, '', f'frame {index}',
                                           bgr if self._colour else None))
         finally:

@@ -141,6 +141,7 @@ class FrameSource(ABC):
         self._damaged: dict[int, tuple[str, str]] = {}
         self.deinterlaces = False
         self._interlaced: set[int] = set()
+        self._turned: set[int] = set()
 
     @property
     def has_own_clock(self) -> bool:
@@ -215,6 +216,10 @@ class FrameSource(ABC):
         """Tell of images that were passed over so far, or used in part."""
         told = (Finding('images_interlaced', count=len(self._interlaced)),
                 ) if self._interlaced else ()
+        if self._turned and self.image_size is not None:
+            width, height = self.image_size
+            told += Finding('images_turned', count=len(self._turned), width=width,
+                            height=height),
         if not self._damaged:
             return told
         name, why = self._damaged[min(self._damaged)]

@@ -53,8 +53,8 @@ _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'div
          'keyframes_chosen', 'views_used', 'compressed_taken', 'image_circle', 'static_matches',
          'still_tracks', 'static_tracks', 'static_region',
          'pairs_degenerate', 'object_seen', 'object_followed', 'translation_groups',
-         'images_interlaced', 'images_halved', 'too_fast_to_follow', 'tracks_jump',
-         'turning_left_out')
+         'images_interlaced', 'images_turned', 'images_halved', 'too_fast_to_follow',
+         'tracks_jump', 'turning_left_out')
 _WEIGHTS = {kind: weight for kinds, weight in ((_DOUBT, DOUBT), (_WIDER, WIDER), (_MEANS, MEANS),
                                                (_MADE, MADE)) for kind in kinds}
 #: What a finding multiplies sigmas by, or moves by so many of them, is among its values.

@@ -34,6 +34,8 @@ _PIXELS_A_BYTE = 1032 * 8
 #: What is announced within these is decoded whatever it is: a mask may be all of one colour.
 _HARMLESS_PIXELS = 2 ** 22
 _KINDS = 'jpeg, png, bmp, tiff, webp or pgm'
+#: The tag by which a photograph says how it is to be turned; 1: not at all.
+_ORIENTATION = 0x112
 _PNG = b'\x89PNG\r\n\x1a\n'
 _PNM = re.compile(rb'P([1-6])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s')
 
@@ -122,16 +124,34 @@ def _bmp(content: bytes) -> tuple[int, int]:
 
 def _tiff(content: bytes) -> tuple[int, int]:
     """Return the announced size of the first image; zeros where there is none."""
-    order = 'little' if content[0] == 0x49 else 'big'
+    found = _tiff_numbers(content, 256, 257)
+    return found[256], found[257]
+
+
+def _tiff_numbers(content: bytes, *tags: int) -> dict[int, int]:
+    """Return what the first directory holds of some tags; zero of those that it lacks."""
+    order = 'little' if content[:1] == b'I' else 'big'
 
     def number(at: int, count: int) -> int:
         return int.from_bytes(content[at:at + count], order)  # type: ignore[arg-type]
 
-    found = {256: 0, 257: 0}
+    found = dict.fromkeys(tags, 0)
     directory = number(4, 4)
     for entry in range(min(number(directory, 2), 1000)):
         at = directory + 2 + 12 * entry
         tag = number(at, 2)
         if tag in found:
             found[tag] = number(at + 8, 2 if number(at + 2, 2) == 3 else 4)
-    return found[256], found[257]
+    return found
+
+
+def is_turned(content: bytes) -> bool:
+    """Tell whether a photograph says (in EXIF) that programs shall turn or mirror it."""
+    at = 2 if content.startswith(b'\xff\xd8') else len(content)
+    while content[at:at + 1] == b'\xff' and content[at + 1:at + 2] not in (b'\xda', b''):
+        length = int.from_bytes(content[at + 2:at + 4], 'big')
+        if content[at + 1] == 0xe1 and content[at + 4:at + 10] == b'Exif\0\0':
+            return 2 <= _tiff_numbers(content[at + 10:at + 2 + length], _ORIENTATION
+                                      )[_ORIENTATION] <= 8
+        at += 2 + max(length, 2)
+    return False

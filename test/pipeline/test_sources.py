@@ -15,6 +15,7 @@
 
 from pathlib import Path
 import shutil
+import struct
 import tracemalloc
 
 import cv2
@@ -33,6 +34,7 @@ from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSet
 from selfcal_ros.pipeline.feature_session import MAX_TABLE_FRAMES, read_tracks
 from selfcal_ros.pipeline.file_sources import natural_key
 from selfcal_ros.pipeline.sources import Frame, open_source
+from selfcal_ros.values.image_headers import is_turned
 from selfcal_ros.values.tracks import Tracks
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
@@ -444,6 +446,52 @@ def test_video(tmp_path):
     for data in (b'', b'this is no video', path.read_bytes()[:300]):
         path.write_bytes(data)
         assert str(path) in refusal(path)
+
+
+def with_orientation(jpeg, orientation, order='<'):
+    """Return a jpeg that says in EXIF how it is to be turned."""
+    head = (b'II*\0' if order == '<' else b'MM\0*') + struct.pack(order + 'I', 8)
+    tags = struct.pack(order + 'HHHIHHI', 1, 0x112, 3, 1, orientation, 0, 0)
+    exif = b'Exif\0\0' + head + tags
+    return jpeg[:2] + b'\xff\xe1' + struct.pack('>H', len(exif) + 2) + exif + jpeg[2:]
+
+
+def turned_images(path):
+    """Return what a source says of a flag that turns images, and the shape of the first."""
+    with open_source(path) as source:
+        first, *_ = source
+        return [one.values for one in source.losses() if one.kind == 'images_turned'
+                ], first.image.shape
+
+
+@pytest.mark.parametrize('order', '<>')
+def test_a_flag_that_turns_photographs_is_told_and_not_applied(tmp_path, order):
+    for k, image in enumerate(images(3)):
+        jpeg = cv2.imencode('.jpg', image)[1].tobytes()
+        (tmp_path / f'{k}.jpg').write_bytes(with_orientation(jpeg, (6, 1, 3)[k], order))
+    assert cv2.imread(str(tmp_path / '0.jpg')).shape[:2] == (64, 48)
+    assert turned_images(tmp_path) == ([{'count': 2, 'width': 64, 'height': 48}], (48, 64))
+    (tmp_path / '0.jpg').write_bytes(with_orientation(jpeg, 1, order))
+    (tmp_path / '2.jpg').write_bytes(jpeg)
+    assert turned_images(tmp_path) == ([], (48, 64))
+    # a flag that is cut off says nothing
+    assert not is_turned(with_orientation(jpeg, 6, order)[:24])
+
+
+def test_a_flag_that_turns_a_video_is_told_and_not_applied(tmp_path):
+    path = tmp_path / 'upright.mp4'
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'mp4v'), 25, (64, 48))
+    for image in images():
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    assert turned_images(path) == ([], (48, 64))
+    content, quarter = bytearray(path.read_bytes()), struct.pack('>4i', 0, 65536, 0, -65536)
+    matrix = content.index(b'tkhd') + 44
+    content[matrix:matrix + 8], content[matrix + 12:matrix + 16] = quarter[:8], quarter[12:]
+    content[matrix + 16:matrix + 20] = bytes(4)
+    path.write_bytes(content)
+    assert cv2.VideoCapture(str(path)).read()[1].shape[:2] == (64, 48)
+    assert turned_images(path) == ([{'count': 6, 'width': 64, 'height': 48}], (48, 64))
 
 
 def test_tracks(tmp_path):
