@@ -214,8 +214,9 @@ class FrameSource(ABC):
 
     def losses(self) -> tuple[Finding, ...]:
         """Tell of images that were passed over so far, or used in part."""
-        told = (Finding('images_interlaced', count=len(self._interlaced)),
-                ) if self._interlaced else ()
+        told: tuple[Finding, ...] = ()
+        if self._interlaced:
+            told += Finding('images_interlaced', count=len(self._interlaced)),
         if self._turned and self.image_size is not None:
             width, height = self.image_size
             told += Finding('images_turned', count=len(self._turned), width=width,

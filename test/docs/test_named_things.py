@@ -14,7 +14,7 @@
 """
 What the documents name exists: files, commands, options, topics, parameters and words of code.
 
-Documents are those beside README.md, docs/ (but for api.md, which is made from docstrings), bench/,
+Documents are those beside README.md, docs/ (but for api.md, made from docstrings), bench/,
 bags/ and examples/. A name counts where it is set as code.
 """
 
