@@ -150,8 +150,8 @@ def null_influence(rows: np.ndarray, by_point: np.ndarray) -> tuple[np.ndarray, 
     rows : ndarray, shape (m, e, k)
         Equations of every point.
     by_point : ndarray, shape (m, e, c)
-        Derivative of rows @ vector by the c noisy coordinates of each point, for the vector of
-        unit norm that the equations bring nearest to zero.
+        Derivative of rows @ vector by the c noisy coordinates of each point. The vector is the
+        null vector, of unit norm.
 
     Returns
     -------
