@@ -55,6 +55,10 @@ START_TRACKS_PER_VIEW = 40
 #: of what the plane leaves. Its path must leave every plane by the last (radians): those of
 #: vehicles leave it by half of that, even from bad starts.
 STILL_FREE, CLEARLY_LESS, FAR_OUT_RAD = 4.0, 0.75, np.radians(10.0)
+#: Where free motion comes to the focal length of the best start, but for the first share, what
+#: the plane leaves is the ground's: no other focal length needs to be tried. The noise that free
+#: motion leaves must be below the second (the same unit): gross errors are among the tracks yet.
+ALIKE, VOUCHED = 0.02, 1.5
 
 
 def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
@@ -156,10 +160,15 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
             break
         if not doubted and problem.supposes_plane and problem.motion.keeps_plane:
             doubted = True
-            off_plane = _off_plane_rad(problem, proposals(), best_noise)
-            if off_plane > FAR_OUT_RAD:
+            free, free_px = _free_start(problem, proposals())
+            if free is None:
+                continue
+            off_plane = _off_plane_rad(free)
+            if free_px <= CLEARLY_LESS * best_noise and off_plane > FAR_OUT_RAD:
                 return NoEstimate('not_planar', tilt_deg=float(np.degrees(off_plane)),
                                   motion='general')
+            if best is not None and _vouches(free, free_px, best, problem):
+                break
     return best, best_noise
 
 
@@ -173,21 +182,35 @@ def _by_modulus(problem: SelfCalibrationProblem) -> list[Camera]:
     return found
 
 
-def _off_plane_rad(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
-                   planar_px: float) -> float:
-    """How far free motion leaves every plane, where the first proposal explains more by it."""
+def _free_start(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
+                ) -> tuple[SceneState | None, float]:
+    """Follow the first proposal by free motion; None where that explains little."""
     if problem.flat is not None or problem.pivot is not None:
-        return 0.0
+        return None, np.inf
     motion = replace(GENERAL.with_images_of(problem.motion), parallel=problem.motion.parallel)
     free, noise_px = next(starts(replace(problem, motion=motion), proposals), (None, np.inf))
     if (free is None or not _is_plausible(free, problem.size)
-            or noise_px > min(STILL_FREE * problem.noise_px, CLEARLY_LESS * planar_px)):
-        return 0.0
+            or noise_px > STILL_FREE * problem.noise_px):
+        return None, np.inf
+    return free, noise_px
+
+
+def _off_plane_rad(free: SceneState) -> float:
+    """How far free motion leaves every plane."""
     R = free.path.rotations()
     # turns against the first view are all about one axis, if there is a plane
     turns = rotation_vector(R @ R[0].T)
     across = np.linalg.svd(turns, compute_uv=False)[1:]
     return float(np.sqrt(np.sum(across**2) / len(turns)))
+
+
+def _vouches(free: SceneState, noise_px: float, planar: SceneState,
+             problem: SelfCalibrationProblem) -> bool:
+    """Tell whether free motion explains the images, by the camera that a start in a plane has."""
+    apart = abs(np.log(free.lens['f'] / planar.lens['f']))
+    return bool(noise_px < VOUCHED * problem.noise_px and apart < ALIKE
+                and free.lens.model is planar.lens.model
+                and _is_plausible(planar, problem.size))
 
 
 def _is_plausible(state: SceneState, size: tuple[int, int]) -> bool:
