@@ -18,7 +18,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros import CameraFacts
+from selfcal_ros.calibration.bundle import plane_of_motion
 from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
+from selfcal_ros.calibration.bundle.robust_fit import with_all_points
+from selfcal_ros.calibration.estimators.model_selection import as_uneven_as_told, first_fit
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.initialisation import multi_start
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
@@ -49,6 +52,15 @@ def uneven():
     return drive_over(TILT_DEG)
 
 
+@pytest.fixture(scope='module')
+def fitted(uneven):
+    """Fit that drive, as uneven as it is."""
+    camera, problem = uneven
+    (start, _), = multi_start.starts(problem, iter([camera]))
+    fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))
+    return as_uneven_as_told(fit, problem.observations)
+
+
 def counting(monkeypatch, module, name):
     """Count the calls of a function, which does what it does."""
     function, calls = getattr(module, name), []
@@ -73,3 +85,21 @@ def test_free_motion_that_explains_the_images_ends_the_sweep(uneven, monkeypatch
     assert abs(start.lens['f'] / camera.K[0, 0] - 1) < multi_start.ALIKE
     # once in the plane, once freely
     assert len(tried) == 2
+
+
+def test_a_plane_that_is_hopeless_is_not_fitted(fitted, monkeypatch):
+    refits = counting(monkeypatch, plane_of_motion, 'refit')
+    _, is_exact = plane_of_motion.choose_motion(fitted)
+    assert not is_exact and all(motion.tilt_sigma_rad > 0 for _, motion, *_ in refits)
+
+
+@pytest.mark.parametrize('tilt_deg', [0.0, 0.02])
+def test_what_a_plane_costs_is_known_before_it_is_fitted(tilt_deg):
+    camera, problem = drive_over(tilt_deg)
+    (start, _), = multi_start.starts(problem, iter([camera]))
+    fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))
+    flat = replace(fit.state, path=fit.state.path.flat())
+    exact = plane_of_motion.refit(fit, plane_of_motion.PLANAR, flat)
+
+    supposed = plane_of_motion._supposed_excess(fit)
+    np.testing.assert_allclose(2 * (exact.cost - fit.cost), supposed, rtol=0.2)

@@ -26,10 +26,15 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, is_chance, refit, RobustFit
+from selfcal_ros.geometry.chain_inverse import ChainInverse
+from selfcal_ros.geometry.scaled_inverse import squared_distance
 
 #: Of fewer views a gross error in a short track looks like a way out of the plane; no more than
 #: this share of the observations may be such.
 FEW_VIEWS, FEW_GROSS = 16, 0.025
+#: An exact plane is not fitted where the linear model has it cost more than so many times what
+#: chance does. Huber's loss of few observations that alone contradict it grows less than that.
+HOPELESS = 10.0
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -73,13 +78,14 @@ def choose_motion(relaxed: RobustFit, variance_inflation: float = 1.0) -> tuple[
         # decided before, on other tracks of the same recording
         return relaxed, True
     flat = replace(relaxed.state, path=relaxed.state.path.flat())
-    exact = refit(relaxed, PLANAR.with_images_of(relaxed.motion), flat)
     freedom = 3 * len(flat.path) - 1
-    excess = 2 * (exact.cost - relaxed.cost) / variance_inflation
-    if is_chance(excess, freedom):
-        return exact, True
-    if len(flat.path) < FEW_VIEWS:
-        sound = _but_for_few(relaxed, exact, freedom, variance_inflation)
+    few = len(flat.path) < FEW_VIEWS
+    if few or is_chance(_supposed_excess(relaxed) / (HOPELESS * variance_inflation), freedom):
+        exact = refit(relaxed, PLANAR.with_images_of(relaxed.motion), flat)
+        excess = 2 * (exact.cost - relaxed.cost) / variance_inflation
+        if is_chance(excess, freedom):
+            return exact, True
+        sound = _but_for_few(relaxed, exact, freedom, variance_inflation) if few else None
         if sound is not None:
             return sound, True
     fit = relaxed
@@ -90,6 +96,19 @@ def choose_motion(relaxed: RobustFit, variance_inflation: float = 1.0) -> tuple[
         if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
             break
     return fit, False
+
+
+def _supposed_excess(relaxed: RobustFit) -> float:
+    """Return twice what an exact plane costs by the linear model of the relaxed motion."""
+    path, unknowns, covariance = relaxed.state.path, relaxed.bundle.unknowns, relaxed.covariance
+    if isinstance(covariance, ChainInverse):
+        return 0.0
+    places = np.r_[unknowns.of_views('tilt_x', 'tilt_y').ravel(),
+                   unknowns.of_views('height')[1:, 0]]
+    out_of_it = np.r_[path.tilt.ravel(), path.translation[1:, 2]]
+    free = covariance[places, places] > 0
+    places, out_of_it = places[free], out_of_it[free]
+    return squared_distance(out_of_it, covariance[np.ix_(places, places)])
 
 
 def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, variance_inflation: float,
