@@ -105,13 +105,16 @@ def test_of_two_processes_each_image_has_one_camera_info(graph, launch):
     launch('planar_calibrator', '-p', 'begin_with_file:=false')
     graph.wait_for(lambda: graph.probe.count_subscribers('tracks/announced') > 0
                    and graph.probe.count_publishers('camera_info') > 0, 60)
-    image_stream.play(graph, camera, image_stream.image, tracks, 8)
+    # from here on everybody knows of everybody
+    image_stream.play(graph, camera, image_stream.image, infos, 1)
+    graph.spin_for(0.3)
+    infos.clear()
+    tracks.clear()
+    image_stream.play(graph, camera, image_stream.image, tracks, 8, first=1)
 
     def stamps(messages):
         return [(msg.header.stamp.sec, msg.header.stamp.nanosec) for msg in messages]
 
     graph.wait_for(lambda: infos and stamps(infos)[-1] == stamps(tracks)[-1])
     graph.spin_for(0.2)
-    # the two processes may know of each other after the first images only
-    known = stamps(tracks).index(stamps(infos)[0])
-    assert stamps(infos) == stamps(tracks)[known:] and len(infos) >= 4
+    assert stamps(infos) == stamps(tracks) and len(infos) >= 8
