@@ -45,10 +45,10 @@ def test_four_general_views_calibrate_exactly_without_noise(facts, views):
 def test_constraint_vanishes_at_the_plane_at_infinity_only():
     _, tracks = _general(1, 0.0)
     found = calibrate_modulus(tracks, SIZE)
-    _, cameras, sigma_px = projective_structure(tracks, SIZE)
+    _, views, sigma_px = projective_structure(tracks, SIZE)
     assert sigma_px < 1e-3
-    assert np.abs(modulus_residuals(cameras, found.plane)).max() < 1e-8
-    assert np.abs(modulus_residuals(cameras, 1.2 * found.plane + 1e-4)).max() > 1e-3
+    assert np.abs(modulus_residuals(views.cameras, found.plane)).max() < 1e-8
+    assert np.abs(modulus_residuals(views.cameras, 1.2 * found.plane + 1e-4)).max() > 1e-3
 
 
 def test_noise_leaves_a_start_for_the_adjustment():

@@ -120,7 +120,7 @@ def modulus_residuals(cameras: np.ndarray, plane: ArrayLike) -> np.ndarray:
 
 
 def projective_structure(tracks: Tracks, size: tuple[int, int],
-                         ) -> tuple[np.ndarray, np.ndarray, float] | NoEstimate:
+                         ) -> tuple[np.ndarray, AffineViews, float] | NoEstimate:
     """
     Projective cameras and points of a few views that share points.
 
@@ -133,20 +133,10 @@ def projective_structure(tracks: Tracks, size: tuple[int, int],
 
     Returns
     -------
-    (frames (V,), cameras (V, 3, 4), sigma_px) or NoEstimate
-        Cameras in pixels, the first [I | 0].
+    (frames (V,), AffineViews, sigma_px) or NoEstimate
+        Cameras in pixels, the first [I | 0], and points in one projective frame.
 
     """
-    found = _projective_views(tracks, size)
-    if isinstance(found, NoEstimate):
-        return found
-    frames, views, sigma_px = found
-    return frames, views.cameras, sigma_px
-
-
-def _projective_views(tracks: Tracks, size: tuple[int, int],
-                      ) -> tuple[np.ndarray, AffineViews, float] | NoEstimate:
-    """Adjust cameras and points in a projective frame; frames, both, and the noise in pixels."""
     tracks = tracks.with_at_least(2)
     frames = tracks.frames
     a, b = np.triu_indices(len(frames), 1)
@@ -295,7 +285,7 @@ def _unweighted(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None
     if len(tracks.frames) < MIN_VIEWS:
         return NoEstimate('too_few', what='camera from the modulus constraint', needed=MIN_VIEWS,
                           items='views', found=len(tracks.frames))
-    structure = _projective_views(tracks, size)
+    structure = projective_structure(tracks, size)
     if isinstance(structure, NoEstimate):
         return structure
     frames, views, _ = structure
