@@ -22,11 +22,14 @@ from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.clock import Clock, difference_weights
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
+from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.robust_fit import Observations
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.shutter import local_motion, row_shifts
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.shutter_choice import clock_of
+from selfcal_ros.calibration.estimators.model_selection import ModelDecision
+from selfcal_ros.calibration.estimators.shutter_choice import clock_of, ShutterDecision
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.errors import ArgumentError
@@ -187,6 +190,22 @@ def test_a_global_shutter_is_told_apart_and_a_stated_delay_is_held():
     assert result.shutter.status == 'held' and result.shutter.sigma_s == 0
     assert result.shutter.line_delay_s == pytest.approx(rolling.line_delay_s)
     assert np.abs(deviations(result, rolling)).max() < 4
+
+
+def test_a_doubtful_line_delay_widens_a_path_by_what_it_would_do(moving):
+    # it was multiplied by the variance inflation, which the shift holds, and rotations did not
+    state, blocks, *_ = moving
+    xy = CAMERA.project(np.column_stack([blocks.point, blocks.view, 100 + blocks.view]) * 0.1)
+    observations = Observations(blocks.view, blocks.point, xy, np.arange(30))
+    fit = RobustFit(bundle_of(observations, GENERAL, priors_from_facts(CameraFacts()), 1.0),
+                    state, observations, 0)
+    count = len(state.lens)
+    model = ModelDecision(fit, SQUARE, False, (1.0, np.zeros((count, count))),
+                          np.eye(count), True, 1.0)
+    decision = ShutterDecision(fit, shift=np.arange(1.0, count + 1))
+    added = decision.widened(model).covariance_of_choices(3.0) - 3 * np.eye(count)
+    assert np.allclose(added, decision.covariance(count, fit.bundle.unknowns.free))
+    assert added[0, 0] == 1 and added[0, 2] == 3
 
 
 def test_a_line_delay_in_seconds_needs_stamps():

@@ -67,6 +67,9 @@ class ModelDecision:
         Whether the images show a rotation.
     fraction : float
         Of all observations that the fit uses.
+    delay_excess : ndarray, shape (k, k), or 0
+        Covariance that a line delay adds which was not estimated. The errors that the images show
+        are in it as they are: no inflation applies.
 
     """
 
@@ -77,6 +80,24 @@ class ModelDecision:
     profile_excess: np.ndarray
     turned: bool
     fraction: float
+    delay_excess: np.ndarray | float = 0.0
+
+    def covariance_of_choices(self, variance_inflation: float) -> np.ndarray:
+        """
+        Return what all choices add to the covariance (k, k) of the internal parameters.
+
+        Parameters
+        ----------
+        variance_inflation : float
+            Variance of the estimate over that with independent errors.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+
+        """
+        added: np.ndarray = self.profile_excess * variance_inflation + self.delay_excess
+        return added
 
 
 def first_fit(problem: SelfCalibrationProblem, observations: Observations, state: SceneState,

@@ -172,7 +172,7 @@ class ShutterDecision:
         """Let the covariance hold what a line delay that was not estimated may do."""
         if self.shift is None:
             return model
-        return replace(model, profile_excess=model.profile_excess + self.covariance(
+        return replace(model, delay_excess=self.covariance(
             len(model.fit.state.lens), model.fit.bundle.unknowns.free))
 
     def covariance(self, size: int, free: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ def corrections(model: ModelDecision, problem: SelfCalibrationProblem) -> Chain:
 
     """
     def allow_for_choices(found: AssessedEstimate) -> AssessedEstimate:
-        return found.widened(model.profile_excess * found.variance_inflation)
+        return found.widened(model.covariance_of_choices(found.variance_inflation))
 
     def count_points_ahead(found: AssessedEstimate) -> AssessedEstimate:
         return _with_points_ahead(found, problem.motion.fixed_pivot)
