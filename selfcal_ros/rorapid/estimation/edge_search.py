@@ -120,6 +120,15 @@ class EdgeSearch:
         weight = fit.clutter_weight * fit.view.must_show[fit.at]
         return float(weight @ same / max(weight.sum(), 1e-9))
 
+    def misfit(self, fit: EdgeFit, found: np.ndarray) -> float:
+        """Median distance of lines' edges that were found (C,), in sigmas; 0 of an outline."""
+        exact = self._control.projection.model in ('perspective', 'zoom')
+        if self._greys is not None or not exact or not found.any():
+            return 0.0
+        sigma = self._noise.sigma(fit.contrast[found], fit.view.end_px[fit.at[found]])
+        off = np.sort(np.abs(fit.residual[found]) / sigma)
+        return float(off[len(off) // 2])
+
     def scatter(self, fit: EdgeFit) -> tuple[np.ndarray, np.ndarray]:
         """
         Judge how the edges of one image scatter.

@@ -364,7 +364,9 @@ class RobustTracker:
             view=self.control.again(fit.view, fit.state), edge_px=edge_px, found=found,
             texture_px=texture_px, share=share, determined=determined, recognised=recognised,
             by_texture=bool(recognised and agree.sum() >= RECOGNISED_CORNERS),
-            focal_sigma=focal, details=SearchDetails(region, fit, matches, agree, sums, edges),
+            focal_sigma=focal, details=SearchDetails(
+                region, fit, matches, agree, sums, edges,
+                self._edges.misfit(fit, found[fit.at])),
             rows=None if motion is None else row_doubt(fit, motion, self.basis))
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
