@@ -223,3 +223,19 @@ def test_a_lens_under_another_name():
     with pytest.raises(ArgumentError, match='equidistant'):
         plumb.as_model('equidistant')
     assert rational.distortion_as('equidistant') is None
+
+
+def test_a_rational_lens_whose_pole_and_zero_all_but_cancel_tears_the_image():
+    """Such an estimate was 6 px off beyond 60 degrees, and right within."""
+    model = lens_model('rational_polynomial')
+    torn = np.array([0.676371241, -0.135588345, 0.0, 0.0, -0.0490764595, 0.995938268,
+                     0.0584455776, -0.137363014])
+    # what it was to be, none at all, and a true pole at 54 degrees
+    whole = np.array([[0.8, 0.25, 4e-4, -6e-4, 0.02, 1.12, 0.48, 0.06], np.zeros(8),
+                      [0.5, 0.1, 0, 0, 0, -0.5, 0, 0]])
+    angles = np.radians([60.0, 61.1, 61.1524, 61.2, 63.0])
+    x, _ = model.distorted(torn, np.tan(angles), 0 * angles)
+    expected, _ = model.distorted(whole[0], np.tan(angles), 0 * angles)
+    assert abs(x - expected)[[0, -1]].max() < 0.01 < 0.05 < abs(x - expected)[2]
+    assert not model.is_smooth(torn)
+    assert all(model.is_smooth(values) for values in whole)

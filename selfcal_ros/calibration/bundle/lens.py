@@ -129,7 +129,7 @@ class Lens:
             self.model.check(self.distortion)
         except ArgumentError:
             return False
-        return True
+        return self.model.is_smooth(self.distortion)
 
     @property
     def parts(self) -> tuple[tuple[Lens, slice], ...]:

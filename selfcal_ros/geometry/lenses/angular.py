@@ -100,6 +100,10 @@ class Angular(ABC):
             raise ArgumentError(f'A lens {self.name} with the coefficients '
                                 f'{values.tolist()!r:.80} sees nothing but its axis.')
 
+    def is_smooth(self, values: np.ndarray) -> bool:
+        """Tell whether no ring tears the image: without a quotient none does."""
+        return True
+
     def image(self, rays: np.ndarray, values: np.ndarray) -> AngularImage:
         """Project rays (..., 3)."""
         return AngularImage(self, np.asarray(rays, float), values)

@@ -90,6 +90,10 @@ class LensModel(Protocol):
         """Raise ArgumentError where no lens has such coefficients."""
         ...
 
+    def is_smooth(self, values: np.ndarray) -> bool:
+        """Tell whether no ring tears the image; an estimate never takes a lens that has one."""
+        ...
+
     def corner_displacement(self, name: str, corner: float) -> float:
         """
         Return how far a unit of a coefficient moves the image's corner, over its distance.

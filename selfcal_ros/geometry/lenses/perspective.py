@@ -87,6 +87,10 @@ class Perspective(ABC):
     def check(self, values: np.ndarray) -> None:
         """Any coefficients are possible; where they fold, points have no ray."""
 
+    def is_smooth(self, values: np.ndarray) -> bool:
+        """Tell whether no ring tears the image: without a quotient none does."""
+        return True
+
     def image(self, rays: np.ndarray, values: np.ndarray) -> PerspectiveImage:
         """Project rays (..., 3); a ray and its opposite have the same image."""
         return PerspectiveImage(self, np.asarray(rays, float), values)

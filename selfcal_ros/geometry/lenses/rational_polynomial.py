@@ -26,6 +26,11 @@ from selfcal_ros.geometry.lenses.plumb_bob import tangential
 
 #: Power of r² that each coefficient multiplies, above and below the line.
 _ABOVE, _BELOW = {'k1': 1, 'k2': 2, 'k3': 3}, {'k4': 1, 'k5': 2, 'k6': 3}
+#: Where the upper polynomial is less than this at a zero of the lower one, they share that zero:
+#: the lens is smooth but for a ring, in which it tears the image.
+_SHARED = 0.05
+#: The widest r² that is looked at: 85 degrees from the axis.
+_WIDEST = 130.0
 
 
 class RationalPolynomial(Perspective):
@@ -40,6 +45,13 @@ class RationalPolynomial(Perspective):
         k1, k2, _, _, k3, k4, k5, k6 = values
         return (1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6)),
                 k1 + r2 * (2 * k2 + 3 * k3 * r2), k4 + r2 * (2 * k5 + 3 * k6 * r2))
+
+    def is_smooth(self, values: np.ndarray) -> bool:
+        """Tell whether no ring tears the image, where a pole and a zero all but cancel."""
+        poles = np.roots([*values[:4:-1], 1.0])
+        poles = poles.real[(np.abs(poles.imag) < 1e-9) & (0 < poles.real)
+                           & (poles.real < _WIDEST)]
+        return not (np.abs(self._polynomials(values, poles)[0]) < _SHARED).any()
 
     def distorted(self, values: np.ndarray, x: np.ndarray, y: np.ndarray,
                   ) -> tuple[np.ndarray, np.ndarray]:

@@ -139,6 +139,10 @@ class Unified:
             raise ArgumentError(f'The xi of the lens model ucm must not be negative, as '
                                 f'{values[0]:g} is.')
 
+    def is_smooth(self, values: np.ndarray) -> bool:
+        """Tell whether no ring tears the image: without a quotient none does."""
+        return True
+
     def image(self, rays: np.ndarray, values: np.ndarray) -> UnifiedImage:
         """Project rays (..., 3)."""
         return UnifiedImage(np.asarray(rays, float), values)
