@@ -44,8 +44,8 @@ _BETTER = 0.05
 #: In 2200 images of sudden motions 99 of 100 right poses had less than 0.9. Of 10 tracked ones
 #: that were wrong by 1.5 to 42 degrees 9 had 1.08 to 1.8.
 _MISFIT = 1.1
-#: With so many of the edges, as a share, and its texture a pose is right all the same.
-_NEARLY_ALL = 0.8
+#: With so many of the edges, as a share, it has another cause: a wrong model, which is doubted.
+_MANY = 0.7
 
 
 class JumpWatch:
@@ -101,9 +101,8 @@ class JumpWatch:
 def _misfits(measured: PoseMeasurement) -> bool:
     """Whether the edges found are hardly those of the pose: they lie about it in any distance."""
     details = measured.details
-    # next to another thing's edges those of a right pose lie off as well: its texture tells
-    return details is not None and details.misfit > _MISFIT and not (
-        measured.by_texture and details.edge_share > _NEARLY_ALL)
+    # where nearly all lie so it is the model that is wrong, or another thing's edges lie beside
+    return details is not None and details.misfit > _MISFIT and details.edge_share < _MANY
 
 
 def _best_of(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
