@@ -28,6 +28,7 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import most_agree
+from selfcal_ros.calibration.estimators.one_motion import _zooms_far
 from selfcal_ros.calibration.uncertainty.focal_course import (_steady_growth, focal_evidence,
                                                               gain_of_most, shape_gain, SURE)
 from selfcal_ros.errors import ArgumentError
@@ -70,6 +71,21 @@ def test_a_zoom_is_found_in_every_view(ramp):
     assert result.camera.K[0, 0] == pytest.approx(np.exp(np.log(course.fx).mean()))
     assert abs(result.camera.K[0, 0] - np.exp(np.log(fx).mean())) < 4 * result.sigma['fx']
     assert any(one.kind in ('focal_varies', 'focal_drifts') for one in result.findings)
+
+
+def test_a_zoom_by_more_than_movers_feign_is_no_stabiliser(ramp):
+    """A video that zoomed by 40 % half-way was told as shifted by 12 px, 25 sigma off."""
+    zoomed_by_a_third, _ = ramp
+    shifted = replace(zoomed_by_a_third, focal=None)
+    noise = zoomed_by_a_third.noise_sigma_px
+    assert _zooms_far(zoomed_by_a_third, replace(shifted, noise_sigma_px=0.9 * noise))
+    # shifts that leave clearly less are believed
+    assert not _zooms_far(zoomed_by_a_third, replace(shifted, noise_sigma_px=0.7 * noise))
+    # what moves seems to zoom by a tenth
+    course = zoomed_by_a_third.focal
+    slight = replace(course, fx=course.fx[0] * (course.fx / course.fx[0])**0.3)
+    assert not _zooms_far(replace(zoomed_by_a_third, focal=slight), shifted)
+    assert not _zooms_far(shifted, shifted)
 
 
 def test_each_frame_has_its_camera(ramp):
