@@ -377,7 +377,7 @@ def parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
 
 
 def _zooms_far(zoomed: Calibration, shifted: Calibration) -> bool:
-    """Tell whether a lens zooms by more than things that move can feign, and shifts can explain."""
+    """Tell whether a lens zooms by more than things that move feign, or shifts explain."""
     return (zoomed.focal is not None
             and zoomed.focal.fx.max() > BENDS_MOST * zoomed.focal.fx.min()
             and shifted.noise_sigma_px > SHIFTED_LEAVES * zoomed.noise_sigma_px)
