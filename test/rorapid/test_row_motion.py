@@ -176,6 +176,20 @@ def test_an_image_that_tells_a_later_pose_is_taken_in_as_such(rng):
     assert np.allclose(again.velocity, other.velocity)
 
 
+def test_a_pose_that_is_only_proposed_leaves_a_covariance(rng):
+    """It is wider than the prediction, so that no image can have led to it."""
+    projection = Projection(Camera(K, (), 640, 480))
+    root = rng.normal(size=(12, 12))
+    prior = 1e-4 * (root @ root.T + np.eye(12))
+    kalman = ConstantVelocityFilter(projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
+                                    np.ones(6))
+    kalman.covariance = prior.copy()
+    wide, late = 1e-2 * np.eye(6), 5e-3 * np.eye(6)
+    kalman.absorb(POSE, wide, late)
+    assert np.linalg.eigvalsh(kalman.covariance)[0] > 0
+    assert np.allclose(kalman.pose_covariance, wide + late @ prior[6:, 6:] @ late.T)
+
+
 def replace_filter(kalman, prior):
     """Return a filter that knows the same."""
     other = ConstantVelocityFilter(kalman.projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),

@@ -23,6 +23,8 @@ from selfcal_ros.rorapid.projection.free_directions import apart_from
 
 #: Share of the velocity that is lost with each image in which nothing is seen.
 DAMPING = 0.3
+#: What was computed from the prediction may be so much wider, as a share.
+_ROUNDING = 1e-2
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -151,8 +153,11 @@ class ConstantVelocityFilter:
         m = self.basis.shape[1]
         step = self.basis.T @ self.projection.difference(state, self.state)
         if late is not None:
-            self._absorb_late(step, covariance, late)
-            return
+            if self._is_narrower(covariance):
+                self._absorb_late(step, covariance, late)
+                return
+            # no posterior, but a pose that is only proposed
+            covariance = covariance + late @ self.covariance[m:, m:] @ late.T
         carry = np.linalg.solve(self.pose_covariance, self.covariance[:m, m:]).T
         self.velocity = self.velocity + carry @ step
         cross = carry @ covariance
@@ -163,6 +168,11 @@ class ConstantVelocityFilter:
                     - carry @ (self.covariance[:m, :m] - covariance) @ carry.T)
         new[m:, m:] = 0.5 * (velocity + velocity.T)
         self.covariance, self.state = new, state
+
+    def _is_narrower(self, covariance: np.ndarray) -> bool:
+        """Whether a covariance (m, m) is nowhere wider than that of the prediction."""
+        shares = np.linalg.eigvals(np.linalg.solve(covariance, self.pose_covariance)).real
+        return bool(shares.min() > 1 - _ROUNDING)
 
     def _absorb_late(self, step: np.ndarray, covariance: np.ndarray, late: np.ndarray) -> None:
         """
