@@ -13,6 +13,8 @@
 # limitations under the License.
 """rorapid_tracker: poses with the stamps of the images; bad input is told, and it goes on."""
 
+from dataclasses import replace
+
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from msg_adapters.camera_info import camera_info_message
@@ -23,13 +25,15 @@ from msg_adapters.stamps import header_message, stamp_ns
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.quality_of_service import LATCHED
-from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
+from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode, tracker_options
 from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.report.shutter_comment import shutter_comment
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.depth_scenes import depth_of
 from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
@@ -159,6 +163,20 @@ def test_files_and_parameters_start_it_without_any_message(station, recording, t
     status = station.diagnostics[-1].status[0]
     assert not not_written(one.key for one in status.values)
     assert status.hardware_id == 'front'
+
+
+def test_lines_are_read_as_the_parameters_say_or_else_the_camera_file(graph, recording, model,
+                                                                      tmp_path):
+    readout = RowReadout(-4e-5, 1e-7, 'estimated', 0.6, 0.01, 320, 'columns')
+    camera = write_camera_yaml(tmp_path / 'camera.yaml', recording[0].camera, 'front',
+                               shutter_comment(readout))
+    graph('-p', f'model:={model}', '-p', f'camera_file:={camera}')
+    node = ObjectTrackerNode()
+    asked = tracker_options(node.parameters, node._file_lines)
+    stated = tracker_options(replace(node.parameters, line_delay_s=2e-5), node._file_lines)
+    node.destroy_node()
+    assert (asked.line_delay_s, asked.lines) == (pytest.approx(-4e-5), 'columns')
+    assert (stated.line_delay_s, stated.lines) == (2e-5, 'rows')
 
 
 def test_reset_stops_and_start_begins_again(station):
