@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT
+from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
 from selfcal_ros.calibration.estimators.supported_optimum import corrections
 from selfcal_ros.calibration.uncertainty import assessed_estimate
@@ -58,13 +59,14 @@ def test_steps_run_one_after_another(monkeypatch):
 
 
 def test_motions_add_steps_of_their_own():
-    model = SimpleNamespace(profile_excess=np.eye(2))
+    model = ModelDecision(None, np.ones(2, bool), (), None, np.eye(2), True, 1.0, 2 * np.eye(2))
     problems = [SimpleNamespace(motion=motion, is_weak=motion is PIVOT)
                 for motion in (GENERAL, PIVOT)]
     general, pivot = (corrections(model, problem).steps for problem in problems)
     assert len(general) == len(SHARED) + 1 and len(pivot) == len(SHARED) + 2
     # what was chosen on the way counts as often as errors count
-    assert general[2](estimate()).covariance[0, 0] == 1 + CLUSTERS.variance_inflation
+    # but for a line delay, which holds them
+    assert general[2](estimate()).covariance[0, 0] == 1 + CLUSTERS.variance_inflation + 2
     turned, missed = (rotation_corrections(may_miss, np.eye(2)).steps
                       for may_miss in (False, True))
     assert len(missed) == len(turned) + 1 and missed[-2] is turned[-1]
