@@ -145,6 +145,14 @@ def test_corners_of_a_curved_surface_are_placed_where_rows_say(rng):
     assert np.abs(projection.project(POSE, view.points).pixels - view.texels).max() < 0.05
 
 
+def _knowing(projection, prior):
+    """Return a filter of the pose and the velocity with a covariance (12, 12)."""
+    kalman = ConstantVelocityFilter(projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
+                                    np.ones(6))
+    kalman.velocity, kalman.covariance = VELOCITY.copy(), prior.copy()
+    return kalman
+
+
 def test_an_image_that_tells_a_later_pose_is_taken_in_as_such(rng):
     projection = Projection(Camera(K, (), 640, 480))
     root = rng.normal(size=(12, 12))
@@ -152,9 +160,7 @@ def test_an_image_that_tells_a_later_pose_is_taken_in_as_such(rng):
     late = 5e-3 * np.eye(6) + 1e-3 * rng.normal(size=(6, 6))
     seen = rng.normal(size=(6, 6))
     seen = 1e4 * (seen @ seen.T + np.eye(6))
-    kalman = ConstantVelocityFilter(projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
-                                    np.ones(6))
-    kalman.velocity, kalman.covariance = VELOCITY.copy(), prior.copy()
+    kalman = _knowing(projection, prior)
     z = 1e-4 * rng.normal(size=6)
     posterior = np.linalg.inv(np.linalg.inv(prior[:6, :6]) + seen)
     state = projection.moved(POSE, posterior @ seen @ z)
@@ -166,10 +172,7 @@ def test_an_image_that_tells_a_later_pose_is_taken_in_as_such(rng):
     assert np.allclose(kalman.covariance, prior - gain @ H @ prior, rtol=1e-6, atol=1e-12)
     assert np.allclose(projection.difference(kalman.state, POSE), step[:6], rtol=1e-3, atol=1e-9)
     assert np.allclose(kalman.velocity - VELOCITY, step[6:], rtol=1e-6, atol=1e-9)
-    again = ConstantVelocityFilter(projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
-                                   np.ones(6))
-    again.velocity, again.covariance = VELOCITY.copy(), prior.copy()
-    other = replace_filter(again, prior)
+    again, other = _knowing(projection, prior), _knowing(projection, prior)
     again.absorb(state, posterior, np.zeros((6, 6)))
     other.absorb(state, posterior)
     assert np.allclose(again.covariance, other.covariance, rtol=1e-7, atol=1e-13)
@@ -181,21 +184,11 @@ def test_a_pose_that_is_only_proposed_leaves_a_covariance(rng):
     projection = Projection(Camera(K, (), 640, 480))
     root = rng.normal(size=(12, 12))
     prior = 1e-4 * (root @ root.T + np.eye(12))
-    kalman = ConstantVelocityFilter(projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
-                                    np.ones(6))
-    kalman.covariance = prior.copy()
+    kalman = _knowing(projection, prior)
     wide, late = 1e-2 * np.eye(6), 5e-3 * np.eye(6)
     kalman.absorb(POSE, wide, late)
     assert np.linalg.eigvalsh(kalman.covariance)[0] > 0
     assert np.allclose(kalman.pose_covariance, wide + late @ prior[6:, 6:] @ late.T)
-
-
-def replace_filter(kalman, prior):
-    """Return a filter that knows the same."""
-    other = ConstantVelocityFilter(kalman.projection, np.eye(6), POSE, prior[:6, :6], np.ones(6),
-                                   np.ones(6))
-    other.velocity, other.covariance = kalman.velocity.copy(), prior.copy()
-    return other
 
 
 def _followed(recording, frames, options):

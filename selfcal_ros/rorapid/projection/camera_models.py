@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,7 +33,9 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.model import LensImage
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_vector
-from selfcal_ros.rorapid.projection.row_motion import RowMotion
+
+if TYPE_CHECKING:
+    from selfcal_ros.rorapid.projection.row_motion import RowMotion
 
 #: Points nearer than this (metres) count as behind the camera.
 NEAREST_M = 1e-6
@@ -154,12 +157,7 @@ class Projection:
             do points at a wider angle than the lens sees.
 
         """
-        seen = self._at_stamp(state, points)
-        if not self.reads_rows:
-            return seen
-        assert self.row_motion is not None
-        xy = self.row_motion.displaced(seen.xy, self._speed(points, seen), state.zoom)
-        return ProjectedPoints(self._pixels(state, xy), xy, seen.turned, seen.inverse_depth)
+        return self._when_read(state, points, self._at_stamp(state, points))
 
     @property
     def reads_rows(self) -> bool:
@@ -168,11 +166,18 @@ class Projection:
 
     def displacement(self, state: ObjectPose, points: np.ndarray) -> np.ndarray:
         """How far object points (C, 3) move in the image until their line is read, pixels."""
-        if not self.reads_rows:
-            return np.zeros((len(points), 2))
-        moved: np.ndarray = (self.project(state, points).pixels
-                             - self._at_stamp(state, points).pixels)
+        still = self._at_stamp(state, points)
+        moved: np.ndarray = self._when_read(state, points, still).pixels - still.pixels
         return moved
+
+    def _when_read(self, state: ObjectPose, points: np.ndarray, still: ProjectedPoints,
+                   ) -> ProjectedPoints:
+        """Move object points (C, 3) on to where they are when their line is read."""
+        rows = self.row_motion
+        if rows is None or not rows.is_moving:
+            return still
+        xy = rows.displaced(still.xy, self._speed(points, still, rows.velocity), state.zoom)
+        return ProjectedPoints(self.pixels(xy, state.zoom), xy, still.turned, still.inverse_depth)
 
     def _at_stamp(self, state: ObjectPose, points: np.ndarray) -> ProjectedPoints:
         """Project object points (C, 3) as if all lines were read at once."""
@@ -187,21 +192,20 @@ class Projection:
             else:
                 inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
             xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
-        return ProjectedPoints(self._pixels(state, xy), xy, turned, inverse)
+        return ProjectedPoints(self.pixels(xy, state.zoom), xy, turned, inverse)
 
-    def _pixels(self, state: ObjectPose, xy: np.ndarray) -> np.ndarray:
-        """Pixels (C, 2) of normalised coordinates."""
+    def pixels(self, xy: np.ndarray, zoom: float) -> np.ndarray:
+        """Pixels (C, 2) of normalised coordinates, the focal length that multiple of its own."""
         image = self._lens_image(xy).xy if self._distorted else xy
         if self._widest < np.inf:
             radius = np.hypot(xy[:, 0], xy[:, 1])[:, None]
             image = np.where(radius > self._widest, xy * (_FAR / np.maximum(radius, 1e-12)), image)
-        pixels: np.ndarray = image @ (state.zoom * self._pixel.T) + self._centre
+        pixels: np.ndarray = image @ (zoom * self._pixel.T) + self._centre
         return pixels
 
-    def _speed(self, points: np.ndarray, seen: ProjectedPoints) -> np.ndarray:
+    def _speed(self, points: np.ndarray, seen: ProjectedPoints, velocity: np.ndarray,
+               ) -> np.ndarray:
         """How fast normalised coordinates of object points (C, 3) change, (C, 2) a second."""
-        assert self.row_motion is not None
-        velocity = self.row_motion.velocity
         if self.model == 'affine':
             return np.asarray(points @ velocity[:6].reshape(2, 3).T + velocity[6:8])
         move = seen.turned @ cross_matrix(velocity[:3]).T + velocity[3:6]

@@ -25,6 +25,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.rorapid.projection.camera_models import Projection
 
 #: How often the line of a point is asked anew: each time leaves a share of the error before, the
 #: motion from one line to the next, pixels.
@@ -60,7 +61,7 @@ class RowMotion:
 
     def __init__(self, camera: Camera, line_delay_s: float, lines: str) -> None:
         """Begin at rest."""
-        self._camera, self._delay_s = camera, float(line_delay_s)
+        self._projection, self._delay_s = Projection(camera), float(line_delay_s)
         self._axis = 1 if lines == 'rows' else 0
         self._count = (camera.width, camera.height)[self._axis]
         if self._count <= 0:
@@ -103,14 +104,5 @@ class RowMotion:
         """
         moved = xy
         for _ in range(_ROUNDS):
-            moved = xy + self.seconds(self._pixels(moved, zoom))[:, None] * speed
+            moved = xy + self.seconds(self._projection.pixels(moved, zoom))[:, None] * speed
         return moved
-
-    def _pixels(self, xy: np.ndarray, zoom: float) -> np.ndarray:
-        """Pixels (C, 2) of the camera's image, lens included."""
-        K = self._camera.K
-        if not self._camera.is_pinhole:
-            rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-            xy = self._camera.lens.image(rays, self._camera.distortion).xy
-        pixels: np.ndarray = xy @ (zoom * K[:2, :2].T) + K[:2, 2]
-        return pixels
