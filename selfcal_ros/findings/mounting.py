@@ -141,6 +141,13 @@ MOUNTING: dict[str, Phrase] = {
         'seem to be roll, pitch and yaw.',
         'Taken as such angles, the turns of body and camera agree.',
         'Convert roll, pitch and yaw to quaternions qw,qx,qy,qz.'),
+    'body_clocks_apart': Phrase(
+        'Body and camera turn alike where their clocks differ by {offset_s:.2f} s, and an offset '
+        'is looked for over half a second.',
+        'The poses were stamped by another clock than the images. A far offset is named, and not '
+        'taken, since an even motion repeats itself.',
+        'Set the clocks, or state the offset, camera minus robot: --mount-fact '
+        'time_offset={offset_s:.2f}:0.2 (mount_facts of the nodes).'),
     'body_poses_shifted': Phrase(
         'The {count} poses of the body contradict the images. They seem to be those of the image '
         '{which}.',
@@ -225,6 +232,10 @@ MOUNTING: dict[str, Phrase] = {
         'smoothed. Images that mislead do it, too.',
         'Calibrate the arm, or take poses from another source. Compare the camera with that of '
         'another recording.'),
+    'body_poses_partly': Phrase(
+        '{found} of {images} images have a pose of the body, and the mount rests on these.',
+        'The poses stop midway, begin late, or leave gaps.',
+        'Look whether what publishes the poses stopped, and record them as long as the images.'),
     'body_places_late': Phrase(
         'Places of the body are {late_ms:.1f} ms behind its turns (sigma {sigma_ms:.1f} ms).',
         'A filter delays what it smooths, and a gyro is quicker than cameras or wheels. The '

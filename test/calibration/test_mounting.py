@@ -120,6 +120,23 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     assert _in_sigmas(mount, errors)[0] < 24.3
 
 
+def test_poses_that_stop_midway_are_told():
+    rng = np.random.default_rng(5)
+    images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)
+    world = worlds.World(*worlds.drive(images), worlds.mount_of(rng), True)
+    calibration = worlds.calibrated(rng, world)
+    poses = worlds.odometry(rng, *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    stamps = {k: int(round(t * 1e9)) for k, t in enumerate(images)}
+    for ends_s, images_with_pose in ((12.5, None), (7.0, 13)):
+        last = int(np.searchsorted(own, ends_s))
+        part = replace(poses, rotation=poses.rotation[:last], position=poses.position[:last],
+                       stamps_ns=poses.stamps_ns[:last])
+        told = [one.values['found'] for one in mount_camera(calibration, part, stamps).findings
+                if one.kind == 'body_poses_partly']
+        assert told == ([] if images_with_pose is None else [images_with_pose])
+
+
 def test_clocks_that_are_an_hour_apart_are_no_hindrance_once_it_is_stated():
     rng = np.random.default_rng(5)
     images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)

@@ -34,6 +34,8 @@ _MINIMA = 3
 LEAST_IMAGES = 4
 #: A drive that has only begun fits several clocks.
 LEAST_TIMED = 10
+#: Clocks that are not the same are looked for so far to both sides, in such steps, seconds.
+FAR_S, FAR_STEP_S = 30.0, 0.2
 #: Offsets this far from each other, seconds, whose turns and steps differ by a factor of e at
 #: most, are asked whether they explain all as well; the likeliest so many.
 APART_S, NEARLY, MOST_ASKED = 0.1, 1.0, 2
@@ -114,6 +116,32 @@ class Clocks:
                     abs(tried[k] - one) > APART_S for one in (found, *chosen)):
                 chosen.append(float(tried[k]))
         return chosen[:MOST_ASKED]
+
+    def far_offset(self) -> float | None:
+        """
+        Return the likeliest offset beyond `REACH_S`, for telling that the clocks differ.
+
+        Returns
+        -------
+        float or None
+            Seconds; None where no other offset leaves half of the images with poses.
+
+        """
+        images = np.count_nonzero(self.track.known(self.middle))
+        least = max(LEAST_TIMED, images / 2)
+
+        def best(tried: np.ndarray) -> float | None:
+            cost = {}
+            for offset in tried[np.abs(tried - self.middle) > REACH_S]:
+                rows = np.flatnonzero(self.track.known(offset))
+                if len(rows) >= least:
+                    cost[float(offset)] = _disagreement(self.camera.chosen(rows), self.track,
+                                                        float(offset), rows)
+            return min(cost, key=cost.__getitem__) if cost else None
+        rough = best(self.middle + np.arange(-FAR_S, FAR_S + FAR_STEP_S / 2, FAR_STEP_S))
+        if rough is None:
+            return None
+        return best(rough + np.arange(-FAR_STEP_S, FAR_STEP_S + STEP_S / 2, STEP_S))
 
 
 def _minima(cost: np.ndarray) -> np.ndarray:

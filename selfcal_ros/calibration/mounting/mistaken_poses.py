@@ -14,10 +14,11 @@
 """
 Common mistakes in lists of poses: which of them, once undone, lets the images agree.
 
-The usual mistakes are few. Poses are inverted, or one image late or early; w of the quaternion
-stands in the wrong column, or roll, pitch and yaw for a rotation vector; an axis of the
-positions is mirrored or swapped. Each is undone, and the closed forms tell whether the images
-agree then. The answer is clear either way, but that in a plane all mirrors are alike.
+The usual mistakes are few. Poses are inverted, one image late or early, or by a clock of their
+own; w of the quaternion stands in the wrong column, or roll, pitch and yaw for a rotation
+vector; an axis of the positions is mirrored or swapped. Each is undone, and the closed forms
+tell whether the images agree then. The answer is clear either way, but that in a plane all
+mirrors are alike.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mounting.body_track import BodyAt, BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
+from selfcal_ros.calibration.mounting.clocks import Clocks
 from selfcal_ros.calibration.mounting.disagreement import AGREES, misfits
 from selfcal_ros.geometry.no_estimate import NoEstimate
 
@@ -85,6 +87,37 @@ def what_is_meant(camera: CameraPoses, track: BodyTrack, offset: float, rows: np
     alike = [why.values['how'] for size, why in found
              if why.kind == best.kind and size < ALIKE * left_over]
     return NoEstimate(best.kind, count=len(camera), how=', or '.join(dict.fromkeys(alike)))
+
+
+def clocks_apart(clocks: Clocks, offset: float, rows: np.ndarray) -> NoEstimate | None:
+    """
+    Tell that poses which do not agree with the images do so at a far offset of the clocks.
+
+    Parameters
+    ----------
+    clocks : Clocks
+    offset : float
+        The best of those that were looked for, seconds.
+    rows : ndarray of int, shape (V,)
+        Of the images that have a pose there.
+
+    Returns
+    -------
+    NoEstimate or None
+
+    """
+    camera, track = clocks.camera, clocks.track
+    given, _ = _best(camera.chosen(rows), track.at(offset, rows))
+    if not track.timed or given < AGREES:
+        return None
+    far = clocks.far_offset()
+    if far is None:
+        return None
+    there = np.flatnonzero(track.known(far))
+    turns, _ = _best(camera.chosen(there), track.at(far, there))
+    if turns * TIMES > given:
+        return None
+    return NoEstimate('body_clocks_apart', offset_s=far)
 
 
 def _alternatives(camera: CameraPoses, track: BodyTrack, body: BodyAt, rows: np.ndarray,

@@ -32,7 +32,7 @@ from selfcal_ros.calibration.mounting.clocks import (
     APART_S, Clocks, LEAST_IMAGES, LEAST_TIMED, STEP_S)
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
                                                            WRONG)
-from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
+from selfcal_ros.calibration.mounting.mistaken_poses import clocks_apart, what_is_meant
 from selfcal_ros.calibration.mounting.model import (COUNT, LAG, METRE, OFFSET, SCALE, State, T,
                                                     TURN)
 from selfcal_ros.calibration.mounting.open_freedoms import (
@@ -76,6 +76,8 @@ FAR_M = 8.0
 #: How far the metre of poses may be from that of an object, as a standard deviation; where one is
 #: wrong by more than the second, nothing is told.
 ANY_SCALE, MOST_APART = 0.3, 0.05
+#: Where a smaller share of the images has a pose, poses stopped, or began late.
+LEAST_COVERED = 0.7
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
 #: Kind of refusal where the equations have no solution.
@@ -154,6 +156,8 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
     part, body = camera.chosen(rows), track.at(tried[0], rows)
     meant = what_is_meant(part, track, tried[0], rows) if len(rows) >= LEAST_IMAGES else None
+    if meant is None and len(rows) >= LEAST_IMAGES:
+        meant = clocks_apart(clocks, tried[0], rows)
     if meant is not None:
         return replace(calibration, mount=meant)
     started = [_from_start(camera, track, poses, facts, offset) for offset in tried]
@@ -185,6 +189,8 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     if other is not None:
         mount = _in_either_metre(mount, optimum)
     findings = _findings(mount, track, facts, optimum)
+    if len(rows) < LEAST_COVERED * len(camera):
+        findings = (Finding('body_poses_partly', found=len(rows), images=len(camera)), *findings)
     w, spread = optimum.state.w, optimum.covariance[COUNT:, COUNT:]
     if chance_of_pull(part, w, spread) < PULLED:
         # what poses err in common would be taken for what they tell of the camera
