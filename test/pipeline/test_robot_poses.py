@@ -219,6 +219,15 @@ def test_cells_may_be_parted_by_semicolons(folder, tmp_path):
     assert found.frames.tolist() == [0, 2] and np.allclose(found.position[1], [1, 2, 0])
 
 
+def test_decimals_may_follow_commas_where_semicolons_part_the_cells(folder, tmp_path):
+    lines = (HEAD + rows(quaternion='0.8,0,0,-0.6')).replace(',', ';').replace('.', ',')
+    found = read(folder, table(tmp_path, lines))
+    assert found.position[:, 0] == pytest.approx([0, 0.1, 0.2])
+    assert np.allclose(found.rotation, Rotation.from_quat([0, 0, -0.6, 0.8]).as_matrix())
+    with pytest.raises(InputError, match='decimal points where commas part the cells'):
+        read(folder, table(tmp_path, (HEAD + rows()).replace('.', ',')))
+
+
 def test_clocks_whose_offset_is_stated_may_be_far_apart(folder, tmp_path):
     source = RobotSource.parse(table(tmp_path, HEAD + rows().replace('1700000000', '1699996400')))
     beside = read_robot(folder, source, MountFacts(time_offset=(3600.0, 0.1)))
@@ -244,6 +253,10 @@ MIRROR = 'frame,tx,ty,tz,' + ','.join(f'r{i}{j}' for i in '123' for j in '123') 
     (HEAD + rows().replace('1700000000', '1699996400'), ('end 3600 s before', 'time_offset=')),
     (HEAD + ''.join(f'{1700000000000 + 50 * k},{k},0,0,1,0,0,0\n' for k in range(3)),
      ('hardly nanoseconds', '50 ns apart', 'stamp_s')),
+    (HEAD + ''.join(f'{17 * 10**14 + 10**5 * k},{0.02 * k},0,0,1,0,0,0\n' for k in range(3)),
+     ('hardly nanoseconds', '1e+05 ns apart')),
+    (HEAD + ''.join(f'0,{k},0,0,1,0,0,0\n' for k in range(3)), ('All poses', 'stamp_ns 0')),
+    (HEAD + ''.join(f'17.5,{k},0,0,1,0,0,0\n' for k in range(3)), ('name the column stamp_s',)),
     (HEAD.replace('stamp_ns', 't') + rows(), ('it has the columns t, tx', 'stamp_ns')),
     (HEAD.replace('qw', 'w') + rows(), ('columns', 'qw,qx,qy,qz')),
     (HEAD.replace('stamp_ns', 'number') + rows(), ('stamp_ns, frame or image',)),

@@ -25,8 +25,9 @@ from selfcal_ros.values.body_poses import BodyPoses
 
 #: Faster than this is no robot (250 km/h), but a millimetre called a metre.
 FASTEST_M_S = 70.0
-#: No robot tells poses so soon after each other; microseconds called nanoseconds do.
-SHORTEST_NS = 100_000
+#: No fast robot tells poses so soon after each other; from 2 Hz on, microseconds taken for
+#: nanoseconds do.
+SHORTEST_NS = 500_001
 #: Farther than this from pose to pose, without a clock, is none either.
 LONGEST_STEP_M = 20.0
 #: A unit quaternion whose digits were cut off errs by less.
@@ -153,6 +154,9 @@ def in_order(when: np.ndarray, what: str, source: str) -> None:
 
     """
     steps = np.diff(when)
+    if len(steps) and not steps.any():
+        raise InputError(f'All poses of {source} have {what} {when[0]}; write when each of them '
+                         'was.')
     if (steps == 0).any():
         twice = when[int(np.argmax(steps == 0))]
         raise InputError(f'{source} has two poses of {what} {twice}; keep one of them.')

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+import re
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -41,6 +42,8 @@ QUATERNION, VECTOR = ('qw', 'qx', 'qy', 'qz'), ('rx', 'ry', 'rz')
 MATRIX = tuple(f'r{i}{j}' for i in (1, 2, 3) for j in (1, 2, 3))
 PLANAR = ('x', 'y', 'theta')
 WHEN = ('image', 'stamp_ns', 'stamp_s', 'frame')
+#: A number whose decimals follow a comma.
+_DECIMAL_COMMA = re.compile(r'^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$')
 #: A longer rotation vector is in degrees.
 LONGEST_VECTOR_RAD = 2.5 * np.pi
 EXPECTED = ('stamp_ns, frame or image; then tx,ty,tz with qw,qx,qy,qz or rx,ry,rz (radians), or '
@@ -106,6 +109,10 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
         parted_by = max(',;\t', key=head.count)
         lines = [row for row in csv.reader(text.splitlines(), delimiter=parted_by)
                  if any(cell.strip() for cell in row)]
+        if parted_by != ',':
+            # and write decimal commas
+            lines[1:] = [[_DECIMAL_COMMA.sub(r'\1.\2', cell) for cell in row]
+                         for row in lines[1:]]
     except csv.Error as error:
         raise InputError(f'{path} is no CSV file ({error}).') from None
     if len(lines) < 3:
@@ -116,7 +123,8 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
     for k, row in enumerate(lines[1:], 2):
         if len(row) != len(names):
             raise InputError(f'{path}, line {k} has {len(row)} cells, and the header '
-                             f'{len(names)}.')
+                             f'{len(names)}; write a cell a column, and decimal points where '
+                             'commas part the cells.')
     return names, lines[1:]
 
 
@@ -190,9 +198,10 @@ def _instants(path: str | Path, names: list[str], rows: list[list[str]], when: s
         else:
             values = np.array([int(cell) for cell in cells], np.int64)
     except (ValueError, OverflowError):
-        raise InputError(f'{path}: {when} must be {"seconds" if when == "stamp_s" else "whole"}'
-                         f'{"" if when == "stamp_s" else " numbers"}; {cells[0]!r:.40} is the '
-                         'first.') from None
+        wanted = {'stamp_s': 'seconds', 'stamp_ns': 'whole nanoseconds (of seconds, name the '
+                  'column stamp_s)'}.get(when, 'whole numbers')
+        raise InputError(f'{path}: {when} must be {wanted}; {cells[0]!r:.40} is the first.'
+                         ) from None
     in_order(values, when, str(path))
     return (None, values) if when == 'frame' else (values, None)
 
