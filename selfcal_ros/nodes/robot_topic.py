@@ -54,9 +54,9 @@ def live_robot(node: Node, parameters: CalibratorParameters) -> LiveRobot | None
     """
     p = parameters
     if not p.robot:
-        given = [name for name in ('robot_sigma', 'robot_frame', 'mount_facts')
-                 if getattr(p, name)]
-        given += ['publish_tf'] if p.publish_tf else []
+        given = [name for name in ('robot_sigma', 'robot_unit', 'robot_frame', 'mount_facts',
+                                   'camera_frame', 'publish_tf') if getattr(p, name)]
+        given += ['robot_kind'] if p.robot_kind != 'auto' else []
         if given:
             raise ArgumentError(f'The parameter {given[0]} needs the poses of a robot: the '
                                 'parameter robot, such as /odom or /tf:odom:base_link.')

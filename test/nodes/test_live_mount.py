@@ -225,7 +225,9 @@ def test_poses_are_heard_however_their_publisher_sends_when_it_comes_again(graph
     (('robot:=/odom', 'robot_sigma:="0.1"'), 'metres and degrees'),
     (('robot:=/odom', 'mount_facts:=height=1'), 'NAME=VALUE:SIGMA'),
     (('robot:=poses.csv',), 'takes a topic'), (('robot:=/tf:odom',), '/tf:FIXED:BODY'),
-    (('publish_tf:=true',), 'publish_tf needs the poses of a robot')])
+    *(((f'{name}:={value}',), f'{name} needs the poses of a robot') for name, value in (
+        ('publish_tf', 'true'), ('robot_unit', '0.001'), ('robot_kind', 'odometry'),
+        ('camera_frame', 'cam')))])
 def test_parameters_that_cannot_be_are_refused(graph, given, words):
     graph(*(word for one in given for word in ('-p', one)))
     with pytest.raises(ArgumentError, match=words):
