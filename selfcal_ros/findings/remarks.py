@@ -397,6 +397,12 @@ REMARKS: dict[str, Phrase] = {
         'A table of tracks does not tell the size, and drivers refuse a calibration of another '
         'one.',
         'Give --image-size W H.'),
+    'image_size_doubtful': Phrase(
+        'No point lies beyond x = {right:.0f} and y = {bottom:.0f} of images of {width} x '
+        '{height}: their size may be stated wrongly.',
+        'A table of tracks does not tell the size. Points fill most of an image, and drivers '
+        'refuse a calibration of another size.',
+        'Check --image-size.'),
     'views_used': Phrase(
         '{views} of these views were used.',
         'More would cost time and tell little.',

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 #: Frames of a table that are used by default: more cost time, and hardly lower the sigmas.
 MAX_TABLE_FRAMES = 60
+#: Points of a table reach beyond this share of the width or of the height.
+LEAST_FILLED = 0.8
 #: A camera rests whose corners move by less than this share of the image diagonal.
 _RESTING = 0.001
 #: Displacement between keyframes as a share of the extent, and share of the tracks that may be
@@ -109,8 +111,19 @@ def whole_table(source: FrameSource, mask: ImageMask | None = None) -> Extracted
         width, height = tracks.image_size or mask.size
         mask.check((height, width))
         tracks = replace(tracks.select(mask.allows(tracks.xy, 0.0)), image_size=mask.size)
-    findings = () if tracks.image_size else (Finding('image_size_not_stated'),)
-    return ExtractedTracks(tracks, source.description, findings)
+    return ExtractedTracks(tracks, source.description, _about_size(tracks))
+
+
+def _about_size(tracks: Tracks) -> tuple[Finding, ...]:
+    """Tell of a size of the images that is not stated, or that hardly can be."""
+    if tracks.image_size is None:
+        return Finding('image_size_not_stated'),
+    right, bottom = tracks.xy.max(axis=0, initial=0.0)
+    width, height = tracks.image_size
+    if right > LEAST_FILLED * width or bottom > LEAST_FILLED * height:
+        return ()
+    return Finding('image_size_doubtful', width=width, height=height, right=float(right),
+                   bottom=float(bottom)),
 
 
 def chosen_frames(tracks: Tracks, max_keyframes: int | None = None) -> np.ndarray:

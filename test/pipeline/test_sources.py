@@ -504,6 +504,21 @@ def test_tracks(tmp_path):
             iter(source)
 
 
+def test_a_stated_size_that_points_contradict_is_told(tmp_path):
+    from selfcal_ros.pipeline.feature_session import whole_table
+    path = tmp_path / 'tracks.csv'
+    xy = np.random.default_rng(0).uniform(0, (639, 479), (300, 2))
+    path.write_text('frame,track,x,y\n' + ''.join(f'{k % 3},{k // 3},{x},{y}\n'
+                                                  for k, (x, y) in enumerate(xy)))
+    doubtful = ['image_size_doubtful']
+    for size, kinds in (((640, 480), []), ((700, 480), []), ((1280, 960), doubtful)):
+        with open_source(path, image_size=size) as source:
+            assert [one.kind for one in whole_table(source).findings] == kinds
+    for size in ((480, 640), (320, 240)):
+        with pytest.raises(InputError, match='% of the points of .* x is . to 63.*--image-size'):
+            open_source(path, image_size=size)
+
+
 @pytest.mark.parametrize('text, words', [
     ('', 'columns'), ('frame,track,x,y\n', 'no observations'), ('a,b\n1,2\n', 'columns'),
     ('frame,track,x,y\n0,1,nan,3\n', 'line 2'), ('frame,track,x,y\n0,1,2\n', 'line 2'),
