@@ -236,6 +236,11 @@ MOUNTING: dict[str, Phrase] = {
         '{found} of {images} images have a pose of the body, and the mount rests on these.',
         'The poses stop midway, begin late, or leave gaps.',
         'Look whether what publishes the poses stopped, and record them as long as the images.'),
+    'odometry_begun_anew': Phrase(
+        'The odometry jumps {count} {count:time|times}, and what lies between jumps was joined.',
+        'It began anew, or its frame was moved. The way on each side is as it was, and across a '
+        'jump the robot is taken to go on as just before.',
+        'Nothing, where it was reset; else look at what publishes it.'),
     'body_places_late': Phrase(
         'Places of the body are {late_ms:.1f} ms behind its turns (sigma {sigma_ms:.1f} ms).',
         'A filter delays what it smooths, and a gyro is quicker than cameras or wheels. The '

@@ -120,6 +120,47 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     assert _in_sigmas(mount, errors)[0] < 24.3
 
 
+@pytest.mark.parametrize('seed', range(2))
+def test_odometry_that_begins_anew_tells_the_same_as_without(seed):
+    """The offset of the clocks was up to a hundred sigmas off, or unknown."""
+    rng = np.random.default_rng([seed, 9])
+    images, own = 0.5 + 0.5 * np.arange(24), np.arange(0, 13.5, 0.05)
+    world = worlds.World(*worlds.drive(images), worlds.mount_of(rng), True)
+    calibration = worlds.calibrated(rng, world)
+    poses = worlds.odometry(rng, *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    stamps = {k: int(round(t * 1e9)) for k, t in enumerate(images)}
+    rotation, position = poses.rotation.copy(), poses.position.copy()
+    position[130:] = (position[130:] - position[130]) @ poses.rotation[130]
+    rotation[130:] = poses.rotation[130].T @ rotation[130:]
+    whole = mount_camera(calibration, poses, stamps)
+    anew = replace(poses, rotation=rotation, position=position)
+    result = mount_camera(calibration, anew, stamps)
+    assert 'odometry_begun_anew' in [one.kind for one in result.findings]
+    assert 'odometry_begun_anew' not in [one.kind for one in whole.findings]
+    known = np.isfinite(whole.mount.covariance.diagonal())
+    apart = np.abs(result.mount.T_body_camera[:2, 3] - whole.mount.T_body_camera[:2, 3])
+    assert (apart < 0.3 * np.sqrt(whole.mount.covariance.diagonal()[:2])).all()
+    assert abs(result.mount.time_offset_s - whole.mount.time_offset_s) < (
+        0.3 * whole.mount.sigma['time_offset'])
+    assert result.mount.covariance.diagonal()[known] == pytest.approx(
+        whole.mount.covariance.diagonal()[known], rel=0.3)
+
+
+def test_nothing_is_interpolated_across_a_jump_of_absolute_poses():
+    own = np.arange(0, 6, 0.05)
+    poses = worlds.measured(np.random.default_rng(5), *worlds.hand(own), 1e-4, 1e-4,
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    far = poses.position + np.where(own > 3.0, 0.5, 0.0)[:, None]
+    frames = {0: 2_900_000_000, 1: 3_020_000_000, 2: 3_100_000_000}
+    smooth, torn = (BodyTrack(replace(poses, position=one), np.arange(3), frames)
+                    for one in (poses.position, far))
+    assert smooth.known().all() and torn.known().tolist() == [True, False, True]
+    rows = np.array([0, 2])
+    speeds = [one.at(0.0, rows).velocity for one in (smooth, torn)]
+    assert np.abs(speeds[1] - speeds[0]).max() < 0.1
+
+
 def test_poses_that_stop_midway_are_told():
     rng = np.random.default_rng(5)
     images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.mounting.pose_jumps import jumps_of, without_jumps
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
@@ -80,6 +81,8 @@ class BodyTrack:
     flat : bool
         Poses are those of motion in a plane: they say nothing of height and tilt.
     odometry : bool
+    begun_anew : int
+        How often odometry jumped; what lies on both sides of a jump was joined.
 
     """
 
@@ -88,6 +91,7 @@ class BodyTrack:
         self._poses = poses
         self.timed = poses.frames is None
         self.odometry = poses.kind == ODOMETRY
+        self.begun_anew = 0
         self._anchor: float | None = None
         self._kept: tuple[np.ndarray, BodyAt] | None = None
         up = poses.rotation[:, :, 2]
@@ -110,6 +114,15 @@ class BodyTrack:
         steps = np.diff(self._times)
         self._usual = float(np.median(steps)) if len(steps) else 1.0
         self._gap = GAP_STEPS * self._usual
+        self._jumps = np.zeros(len(steps), bool)
+        if self.timed:
+            self._jumps = jumps_of(poses)
+            if self.odometry and self._jumps.any():
+                self.begun_anew = int(self._jumps.sum())
+                self._poses = without_jumps(poses, self._jumps)
+                self._jumps = np.zeros(len(steps), bool)
+        # nothing is interpolated across gaps and jumps
+        self._torn = (steps > self._gap) | self._jumps
         self._rate_step = _RATE_STEPS * self._usual
         self._noise = np.zeros(6)
         if self.odometry:
@@ -145,7 +158,7 @@ class BodyTrack:
             k = np.searchsorted(self._times, when, side='right').clip(1, len(self._times) - 1)
             edge = 1e-5
             inside &= (when >= self._times[0] - edge) & (when <= self._times[-1] + edge)
-            inside &= self._times[k] - self._times[k - 1] <= self._gap
+            inside &= ~self._torn[k - 1]
         return inside
 
     def at(self, offset: float, rows: np.ndarray) -> BodyAt:
@@ -185,8 +198,11 @@ class BodyTrack:
         """Interpolate at an offset of the clocks."""
         when, step = self._instants[rows] - offset, self._rate_step
         rotation, position = self._interpolated(when)
-        earlier = np.maximum(when - step, self._times[0])
-        later = np.minimum(when + step, self._times[-1])
+        # of what lies between the jumps before and after
+        cuts, count = np.flatnonzero(self._jumps), len(self._times)
+        after_jump = np.searchsorted(self._times[cuts + 1], when, side='right')
+        earlier = np.maximum(when - step, self._times[np.r_[0, cuts + 1][after_jump]])
+        later = np.minimum(when + step, self._times[np.r_[cuts, count - 1][after_jump]])
         before, after = self._interpolated(earlier), self._interpolated(later)
         lasting = (later - earlier)[:, None]
         turning = rotation_vector(after[0] @ np.swapaxes(before[0], 1, 2)) / lasting
@@ -230,7 +246,7 @@ class BodyTrack:
         at = (times[nodes] - times[k][:, None]) / self._usual
         asked = (when - times[k]) / self._usual
         # a gap among the four would bend the curve: the two that enclose the instant remain
-        uneven = np.asarray((np.diff(times[nodes], axis=1) > self._gap).any(axis=1))
+        uneven = np.asarray(self._torn[nodes[:, :-1]].any(axis=1))
         weights = np.ones((len(when), width))
         for a in range(width):
             for b in range(width):

@@ -450,6 +450,8 @@ def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimu
     if mount.outlier_count:
         found.append(Finding('body_poses_set_aside', count=mount.outlier_count,
                              of=mount.pose_count))
+    if track.begun_anew:
+        found.append(Finding('odometry_begun_anew', count=track.begun_anew))
     if optimum.state.lag:
         found.append(Finding('body_places_late', late_ms=1e3 * optimum.state.lag,
                              sigma_ms=1e3 * float(np.sqrt(optimum.covariance[LAG, LAG]))))
