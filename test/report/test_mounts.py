@@ -103,6 +103,16 @@ def test_words_say_what_is_known_and_what_would_help(calibration):
     assert mount_lines(calibration) == []
 
 
+@pytest.mark.parametrize('pitch, words', [
+    (-1.4, 'their sum is -34.38 ± 0.12°'), (1.4, 'difference (yaw less roll) is -11.46 ± 0.12°'),
+    (-1.2, '')])
+def test_roll_and_yaw_are_told_together_where_each_is_hardly_known(calibration, pitch, words):
+    steep = mount(roll=-0.2, pitch=pitch)
+    steep.covariance[5, 5] = np.radians(0.12)**2
+    text = '\n'.join(mount_lines(replace(calibration, mount=steep)))
+    assert (words in text) if words else 'roll and yaw do' not in text
+
+
 def test_the_last_column_of_the_table_is_there_when_it_says_something(calibration):
     table = mount_table(placed(calibration, 'z'))
     assert table.columns[-1].startswith('by, or') and table.rows[2][-1] == 'State it.'

@@ -23,7 +23,8 @@ import numpy as np
 from selfcal_ros.calibration.mount import Mount, mount_rotation, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.mounts.record import known_angles, known_matrix
-from selfcal_ros.report.mounts.words import axis_sentence, floor_sentence, mount_rows
+from selfcal_ros.report.mounts.words import (axis_sentence, floor_sentence, mount_rows,
+                                             roll_and_yaw_sentence)
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.style import (BLUE, Drawing, figure_of, GREEN, GREY, INK, new_panel, RED,
                                       styled)
@@ -170,7 +171,8 @@ def mount_table(result: Calibration) -> PageTable | None:
     columns: tuple[str, ...] = ('', 'value', 'σ', 'where from', 'by, or what would show it')
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
-    below = ' '.join(filter(None, (axis_sentence(mount), floor_sentence(mount))))
+    below = ' '.join(filter(None, (roll_and_yaw_sentence(mount), axis_sentence(mount),
+                                   floor_sentence(mount))))
     return PageTable(
         'mount-numbers', f'The camera on {mount.frame}',
         'The pose of the lens on the body: x forward, y left, z up. Angles are against a level '

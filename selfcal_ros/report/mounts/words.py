@@ -30,6 +30,8 @@ MEANING = {'x': 'forward', 'y': 'to the left', 'z': 'up',
            'scale': 'metres in a step of the path', 'time_offset': "camera's clock minus robot's"}
 #: The scale, before an object of known size.
 OF_AN_OBJECT = 'metres of the robot in one of the object'
+#: From this pitch on, up or down, the sigmas of roll and yaw grow, and those of both do not.
+STEEP_DEG = 75.0
 #: Name in a table, and unit.
 SHOWN = {**{name: (name, 'm') for name in PLACE}, **{name: (name, '°') for name in TURN},
          'scale': ('scale', 'm/step'), 'time_offset': ('clock', 's')}
@@ -137,7 +139,21 @@ def mount_lines(result: Calibration, facts: frozenset[str] = frozenset()) -> lis
     lines += ['', 'x, y, z: where the camera is on the body (forward, left, up). Angles: against '
               'a level camera that looks straight ahead; pitch is positive downwards, yaw to the '
               'left, roll to the right.']
-    return [*lines, *filter(None, (axis_sentence(mount), floor_sentence(mount)))]
+    return [*lines, *filter(None, (roll_and_yaw_sentence(mount), axis_sentence(mount),
+                                   floor_sentence(mount)))]
+
+
+def roll_and_yaw_sentence(mount: Mount) -> str:
+    """Say what roll and yaw are together where a camera looks along the z of the body."""
+    roll, pitch, yaw = (float(np.degrees(mount.angles[name])) for name in TURN)
+    if abs(pitch) < STEEP_DEG or any(mount.status[name] != 'estimated' for name in TURN):
+        return ''
+    name, value = ('sum', yaw + roll) if pitch < 0 else ('difference (yaw less roll)', yaw - roll)
+    sigma = float(np.degrees(np.sqrt(mount.covariance[NAMES.index('yaw'), NAMES.index('yaw')])))
+    value = (value + 180) % 360 - 180
+    return (f'The camera looks nearly along the z of {mount.frame}, and there roll and yaw do '
+            f'nearly the same: their {name} is {_digits(value, sigma)} ± '
+            f'{_digits(sigma, sigma)}°.')
 
 
 def axis_sentence(mount: Mount) -> str:
