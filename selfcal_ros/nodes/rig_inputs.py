@@ -139,6 +139,7 @@ class RigInputs:
         self.names = camera_names(p.cameras)
         self._groups = StampGroups(len(self.names))
         self._frames = [''] * len(self.names)
+        self._unstamped: set[str] = set()
         self._images = [ImageInputs(node, partial(self._on_image, k), base=f'{name}/image',
                                     transport=p.image_transport, reliability=p.reliability)
                         for k, name in enumerate(self.names)]
@@ -192,6 +193,9 @@ class RigInputs:
         """What is wrong with calibrations or places."""
         told = [f'{name}: {one.problem}' for name, one in zip(self.names, self._infos)
                 if one.problem]
+        if self._unstamped:
+            told.append(f'The images of {" and ".join(sorted(self._unstamped))} have no stamp, '
+                        'and stamps tell which belong together; let their driver fill the header.')
         if not self.frame:
             told.append(f'Poses are in the frame of {self.names[0]}, which was not heard yet.')
         return ' '.join([*told, *filter(None, [self._problem])])
@@ -210,7 +214,12 @@ class RigInputs:
             self._frames[which] = frame
             if self._by_tf:
                 self._look()
-        for first, images in self._groups.add(which, stamp_ns(msg.header.stamp), msg):
+        stamp, name = stamp_ns(msg.header.stamp), self.names[which]
+        if stamp <= 0:
+            self._unstamped.add(name)
+            return
+        self._unstamped.discard(name)
+        for first, images in self._groups.add(which, stamp, msg):
             # a pose without a frame would be of no use
             if self.frame:
                 self._submit(header_message(first, self.frame, self._node.types), images)

@@ -204,6 +204,25 @@ def test_frames_have_a_slash_or_none_and_change_with_a_driver_that_comes_again(
         '/left_optical_frame'] * 2 + ['left_again'] * 2
 
 
+def test_images_without_stamps_are_named(station, rig, tmp_path):
+    """They only counted as images that come too late."""
+    station = station('cameras:=left,right',
+                      f'rig_file:={chain(tmp_path / "chain.yaml", rig[1])}')
+    node = station.add_node()
+    station.send_infos()
+    made = station.header
+    station.header = lambda k, which: header_message(0, made(k, which).frame_id, station.types)
+    station.send(0, 0)
+    station.send(0, 1)
+    station.graph.wait_for(lambda: 'left and right have no stamp' in node._inputs.problem)
+    assert node._inputs.values['images too late'] == 0
+    station.header = made
+    station.send(0, 0)
+    station.send(0, 1)
+    station.wait_for_pose(1)
+    assert 'stamp' not in node._inputs.problem
+
+
 @pytest.mark.skipif(find_spec('tf2_msgs') is None, reason='tf2_msgs is not installed')
 def test_places_come_from_a_publisher_of_tf_that_spoke_before(station, rig):
     from tf2_msgs.msg import TFMessage
