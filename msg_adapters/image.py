@@ -48,7 +48,8 @@ _BAYER = ('rggb', 'bggr', 'gbrg', 'grbg')
 
 def _layouts() -> dict[str, Any]:
     table = {'yuv422': _Layout('u1', 2, 'uyvy'), 'uyvy': _Layout('u1', 2, 'uyvy'),
-             'yuv422_yuy2': _Layout('u1', 2, 'yuyv'), 'yuyv': _Layout('u1', 2, 'yuyv')}
+             'yuv422_yuy2': _Layout('u1', 2, 'yuyv'), 'yuyv': _Layout('u1', 2, 'yuyv'),
+             'nv12': _Layout('u1', 1, 'nv12'), 'nv21': _Layout('u1', 1, 'nv21')}
     for bits, dtype in ((8, 'u1'), (16, 'u2')):
         table[f'mono{bits}'] = _Layout(dtype, 1, 'mono')
         for order in ('rgb', 'bgr', 'rgba', 'bgra'):
@@ -64,6 +65,8 @@ def _layouts() -> dict[str, Any]:
 
 
 _LAYOUTS = _layouts()
+#: Rows of Y are followed by half as many of both colours.
+_TWO_PLANES = ('nv12', 'nv21')
 #: Encodings of sensor_msgs/Image that can be read.
 SUPPORTED_ENCODINGS = tuple(sorted(_LAYOUTS))
 
@@ -80,6 +83,7 @@ _TO_BGR = {
     'rggb': cv2.COLOR_BayerBG2BGR, 'bggr': cv2.COLOR_BayerRG2BGR,
     'gbrg': cv2.COLOR_BayerGR2BGR, 'grbg': cv2.COLOR_BayerGB2BGR,
     'uyvy': cv2.COLOR_YUV2BGR_UYVY, 'yuyv': cv2.COLOR_YUV2BGR_YUY2,
+    'nv12': cv2.COLOR_YUV2BGR_NV12, 'nv21': cv2.COLOR_YUV2BGR_NV21,
 }
 
 
@@ -265,6 +269,11 @@ def _pixels(msg: Message, colour: bool) -> tuple[np.ndarray, str]:
                          'publishes it.')
     if layout.order in ('uyvy', 'yuyv') and width % 2:
         raise InputError(f'A {encoding} image must have an even width, not {width}.')
+    if layout.order in _TWO_PLANES:
+        if width % 2 or height % 2:
+            raise InputError(f'A {encoding} image must have an even width and height, not {width} '
+                             f'x {height}.')
+        height = height * 3 // 2
     if layout.order in _BAYER and min(height, width) < 3:
         raise InputError(f'A Bayer image of {width} x {height} pixels is too small to decode.')
     data = _bytes_of(msg.data)
@@ -274,8 +283,9 @@ def _pixels(msg: Message, colour: bool) -> tuple[np.ndarray, str]:
                          f'takes {row} bytes; check what publishes it.')
     # some drivers leave out the padding of the last row
     if data.size < step * (height - 1) + row:
-        raise InputError(f'The image holds {data.size} bytes, but {width} x {height} {encoding} '
-                         f'with step {step} takes {step * height}; the message is truncated.')
+        raise InputError(f'The image holds {data.size} bytes, but {width} x {msg.height} '
+                         f'{encoding} with step {step} takes {step * height}; the message is '
+                         'truncated.')
     rows = np.lib.stride_tricks.as_strided(data, (height, row), (step * data.strides[0],
                                                                  data.strides[0]))
     samples = np.ascontiguousarray(rows)
@@ -291,6 +301,8 @@ def _convert(samples: np.ndarray, order: str, colour: bool) -> np.ndarray:
     """Convert samples of the given channel order to grey or bgr of the same depth."""
     if not colour and order in ('uyvy', 'yuyv'):
         return np.ascontiguousarray(samples[..., 1 if order == 'uyvy' else 0])
+    if not colour and order in _TWO_PLANES:
+        return np.ascontiguousarray(samples[:len(samples) * 2 // 3])
     code = (_TO_BGR if colour else _TO_GREY).get(order)
     return samples if code is None else cv2.cvtColor(samples, code)
 
@@ -324,6 +336,7 @@ def image_message(image: np.ndarray, header: Message, types: MessageTypes,
         encoding = f'{name}{bits}'
     layout = _LAYOUTS.get(encoding)
     if image.ndim not in (2, 3) or 0 in image.shape or layout is None or \
+            layout.order in _TWO_PLANES or \
             layout.channels != channels or bits != 8 * int(layout.dtype[1]):
         raise ArgumentError(f'An array of shape {image.shape} and type {image.dtype} is no '
                             f'{encoding} image.')

@@ -121,12 +121,28 @@ def test_yuv422(types, header, encoding, padding):
     assert np.abs(image_to_bgr(msg) - bgr.clip(0, 255)).max() <= 2
 
 
+@pytest.mark.parametrize('padding', [0, 6])
+@pytest.mark.parametrize('encoding', ['nv12', 'nv21'])
+def test_two_planes(types, header, encoding, padding):
+    y = ramp()[..., 0] + np.uint8(10)
+    chroma = np.full((HEIGHT // 2, WIDTH // 2, 2), (90, 240) if encoding == 'nv12' else (240, 90))
+    rows = np.concatenate([y, chroma.reshape(HEIGHT // 2, WIDTH)])
+    msg = build(types, header, encoding, rows, padding=padding, height=HEIGHT)
+    assert (image_to_grey(msg) == y).all()
+    # BT.601, limited range
+    c, d, e = 1.164 * (y.astype(float) - 16), 90 - 128, 240 - 128
+    bgr = np.stack([c + 2.017 * d, c - 0.392 * d - 0.813 * e, c + 1.596 * e], axis=-1)
+    assert np.abs(image_to_bgr(msg) - bgr.clip(0, 255)).max() <= 2
+    with pytest.raises(ArgumentError, match='is no nv12 image'):
+        image_message(y, header, types, 'nv12')
+
+
 def test_all_supported_encodings_were_meant():
     tested = {'8UC', '16UC'}   # without channels: one
     tested |= {f'{n}UC{c}' for n in (8, 16) for c in (1, 3, 4)}
     tested |= {f'{o}{n}' for o in ('mono', 'rgb', 'bgr', 'rgba', 'bgra') for n in (8, 16)}
     tested |= {f'bayer_{p}{n}' for p in ('rggb', 'bggr', 'gbrg', 'grbg') for n in (8, 16)}
-    tested |= {'yuv422', 'uyvy', 'yuv422_yuy2', 'yuyv'}
+    tested |= {'yuv422', 'uyvy', 'yuv422_yuy2', 'yuyv', 'nv12', 'nv21'}
     assert tested == set(SUPPORTED_ENCODINGS)
 
 
@@ -246,6 +262,8 @@ def test_an_absurd_png_is_refused_before_it_is_decoded(types, header):
     ({'data': np.zeros(0, np.uint8)}, 'truncated'),
     ({'encoding': 'mono16'}, 'step'),
     ({'encoding': 'uyvy', 'width': 7}, 'even'),
+    ({'encoding': 'nv12', 'height': HEIGHT - 1}, 'even width and height'),
+    ({'encoding': 'nv21'}, 'truncated'),
     ({'encoding': 'bayer_rggb8', 'height': 2}, 'too small'),
 ])
 def test_hostile_messages(types, header, changed, words):
