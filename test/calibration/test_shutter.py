@@ -268,6 +268,13 @@ def test_the_images_before_and_after_tell_how_the_camera_moves(moving):
     np.testing.assert_allclose(speed[2:-2, :3], turn[2:-2], atol=2e-4 * np.abs(turn).max())
     moved = np.einsum('vij,vj->vi', state.path.rotations(), centre)
     np.testing.assert_allclose(speed[:, 3:], moved, atol=2e-2 * np.abs(moved).max())
+    # a view that nothing is asked of is a view nevertheless, the last one, too
+    part = blocks.view < len(times) - 1
+    fewer, _, _ = motion_from_neighbours(
+        state, PointBlocks(blocks.point[part], blocks.view[part]), xy[part], beside[part], clock,
+        np.zeros((3, len(times), 6)))
+    assert fewer.shape == speed.shape and not fewer[-1].any()
+    np.testing.assert_allclose(fewer[:-4], speed[:-4], atol=1e-3 * np.abs(speed).max())
 
 
 def test_a_camera_that_swings_once_a_second_is_read_as_fast_as_it_is():

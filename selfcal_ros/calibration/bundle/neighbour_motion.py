@@ -81,15 +81,16 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
         view, before the mount; as given where too few points were followed.
 
     """
-    view, path = blocks.view, state.path
+    # the last of them may have no observation
+    view, path, views = blocks.view, state.path, len(clock.times)
     placed, weight = state.placed_ahead(blocks, xy)
     row = np.flatnonzero(followed(neighbours))
-    count = np.bincount(view[row], minlength=blocks.view_count)
+    count = np.bincount(view[row], minlength=views)
     known = count >= LEAST_FOLLOWED
-    twist, jerk = np.zeros((blocks.view_count, 12)), np.zeros((blocks.view_count, 6))
+    twist, jerk = np.zeros((views, 12)), np.zeros((views, 6))
     own = state.line_delay * clock.delays(xy)
     sum_of = csr_array((np.ones(len(row)), (view[row], np.arange(len(row)))),
-                       shape=(blocks.view_count, len(row)))
+                       shape=(views, len(row)))
     sides = [(neighbours[row, side, 2]
               + state.line_delay * clock.delays(neighbours[row, side, :2]),
               neighbours[row, side, :2] - xy[row]) for side in (0, 1)]
@@ -111,7 +112,7 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
         if k in _RENEWED:
             jerk = _jerk(path, clock.times, *np.where(known[:, None], [twist[:, :6], twist[:, 6:]],
                                                       motion[:2]))
-        matrix, slope = np.zeros((blocks.view_count, 144)), np.zeros((blocks.view_count, 12))
+        matrix, slope = np.zeros((views, 144)), np.zeros((views, 12))
         now, by_now = seen(own[row])
         for time, step in sides:
             later, by_later = seen(time)
