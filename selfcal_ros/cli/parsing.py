@@ -110,6 +110,8 @@ class SentenceParser(argparse.ArgumentParser):
         """Take no empty path, which pathlib makes the current folder."""
         super().__init__(*args, **kwargs)
         self.register('type', Path, _path)
+        # argparse takes -2e-5 for an option before Python 3.14
+        self._negative_number_matcher = re.compile(r'^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$')
 
     # argparse also lets callers give a namespace class of their own, which nobody does here
     def parse_args(self, args: Sequence[str] | None = None,  # type: ignore[override]

@@ -137,12 +137,14 @@ class CameraFacts:
         if self.shutter not in SHUTTERS:
             raise ArgumentError(f'Shutter {self.shutter!r:.40} is unknown; choose one of '
                                 f'{", ".join(SHUTTERS)}.')
-        if self.line_delay_s is not None and (
-                self.shutter == 'global' or not (
-                    is_number(self.line_delay_s)
-                    and abs(self.line_delay_s) < LONGEST_LINE_DELAY_S)):
-            raise ArgumentError('The line delay is that of a rolling shutter, in seconds from '
-                                f'one row to the next, not {self.line_delay_s!r}.')
+        if self.line_delay_s is not None and not (
+                is_number(self.line_delay_s) and abs(self.line_delay_s) < LONGEST_LINE_DELAY_S):
+            raise ArgumentError('The line delay is that of a rolling shutter, in seconds from one '
+                                f'row to the next, not {self.line_delay_s!r}: 480 rows that are '
+                                'read in 20 ms have 4.2e-05.')
+        if self.line_delay_s is not None and self.shutter == 'global':
+            raise ArgumentError('A line delay is that of a rolling shutter, and the shutter is '
+                                'stated as global; leave one of them out.')
         for name in ('aspect_ratio_sigma', 'skew_sigma_px', 'principal_point_sigma_px',
                      'line_delay_sigma_s'):
             value = getattr(self, name)
