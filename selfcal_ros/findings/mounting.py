@@ -51,6 +51,11 @@ MOUNTING: dict[str, Phrase] = {
         'Of {images} images, {found} {found:has|have} a pose of the body; a mount needs {needed}.',
         'The poses end before the images begin, or leave gaps where images were taken.',
         'Record poses and images over the same time, by clocks that agree to half a second.'),
+    'too_few_images_for_mount': Phrase(
+        '{found} {found:image has|images have} a pose of the body so far; a mount needs {needed}.',
+        'Nearly all images have a pose, but they are few. A drive that has only begun fits '
+        'several mounts.',
+        'Move on, or use more images.'),
     'body_stood_still': Phrase(
         'The poses of {body} say that the robot stood still.',
         'Images of a moving camera say nothing of a body that does not move with it.',

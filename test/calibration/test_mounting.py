@@ -161,6 +161,19 @@ def test_nothing_is_interpolated_across_a_jump_of_absolute_poses():
     assert np.abs(speeds[1] - speeds[0]).max() < 0.1
 
 
+def test_a_drive_that_has_only_begun_lacks_images_and_no_poses():
+    """It was told to record poses and images over the same time."""
+    rng = np.random.default_rng(5)
+    images, own = 0.5 + 0.5 * np.arange(8), np.arange(0, 6, 0.05)
+    world = worlds.World(*worlds.drive(images), worlds.mount_of(rng), True)
+    poses = worlds.odometry(rng, *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    stamps = {k: int(round(t * 1e9)) for k, t in enumerate(images)}
+    refused = mount_camera(worlds.calibrated(rng, world), poses, stamps).mount
+    assert refused.kind == 'too_few_images_for_mount'
+    assert str(refused).startswith('8 images have a pose of the body so far; a mount needs 10.')
+
+
 def test_poses_that_stop_midway_are_told():
     rng = np.random.default_rng(5)
     images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)

@@ -206,6 +206,8 @@ def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
     stated = facts.time_offset[0] if facts.time_offset is not None and track.timed else 0.0
     known = int(track.known(stated).sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
+    if known < needed and known > LEAST_COVERED * len(camera):
+        return NoEstimate('too_few_images_for_mount', needed=needed, found=known)
     if known < needed:
         return NoEstimate('too_few_body_poses', needed=needed, found=known, images=len(camera))
     turned = np.linalg.norm(poses.rotation - poses.rotation[0], axis=(1, 2)).max() / np.sqrt(2)
