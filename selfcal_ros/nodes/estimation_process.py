@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 #: The child yields to whoever has an image to follow.
 NICENESS = 5
+#: What the child says once, when its libraries are loaded.
+READY = 'ready'
 
 
 class EstimationProcess:
@@ -51,6 +53,7 @@ class EstimationProcess:
         self._start()
 
     def _start(self) -> None:
+        self._is_ready = False
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
         child = context.Process(target=_work, args=(theirs, os.getpid()), daemon=True,
@@ -72,8 +75,8 @@ class EstimationProcess:
         self._send()
 
     def _send(self) -> None:
-        """Send the next job once the child is idle: it reads at once then."""
-        if self._running is None and self._waiting:
+        """Send the next job once the child is ready and idle: it reads at once then."""
+        if self._is_ready and self._running is None and self._waiting:
             self._running = self._waiting.popleft()
             try:
                 self._pipe.send(self._running)
@@ -83,17 +86,23 @@ class EstimationProcess:
 
     def poll(self) -> JobResult[Any] | None:
         """Return what became of the next job that is done; None if none is."""
-        if self._running is None or not self._pipe.poll():
+        if not (self._running or self._waiting) or not self._pipe.poll():
             return None
-        job, self._running = self._running, None
         try:
-            result = JobResult(job, *self._pipe.recv())
+            answer = self._pipe.recv()
         except (EOFError, OSError):
-            result = JobResult(job, NotCalibrated.of(NoEstimate('process_ended')))
+            # it may have ended while it loaded, too
+            lost, self._running = self._running or self._waiting.popleft(), None
             self._pipe.close()
             self._start()
+            return JobResult(lost, NotCalibrated.of(NoEstimate('process_ended')))
+        if answer == READY:
+            self._is_ready = True
+            self._send()
+            return None
+        job, self._running = self._running, None
         self._send()
-        return result
+        return None if job is None else JobResult(job, *answer)
 
 
 def _work(pipe: Connection, parent: int) -> None:
@@ -102,6 +111,11 @@ def _work(pipe: Connection, parent: int) -> None:
     _yield_to_others()
     # now, and not when the first job waits
     load_estimator()
+    try:
+        # until it reads, a large job would hold up whoever sends it
+        pipe.send(READY)
+    except OSError:
+        return
     while True:
         try:
             job = pipe.recv()

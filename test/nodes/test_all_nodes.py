@@ -140,7 +140,8 @@ def test_a_child_amid_an_estimate_ends_with_the_process_that_is_killed():
          'from test_support.child_requests import Request\n'
          'worker = EstimationProcess()\n'
          'worker.submit(Job(JobKind.ESTIMATE, Request("endless")))\n'
-         'time.sleep(600)'], stdout=subprocess.PIPE, text=True)
+         'while worker.poll() is None:\n'
+         '    time.sleep(0.02)'], stdout=subprocess.PIPE, text=True)
     child = int(killed.stdout.readline())
     try:
         killed.kill()
@@ -197,3 +198,17 @@ def test_the_child_survives_faults_and_is_replaced_when_it_dies(capfd):
     assert 'loaded True' in said[4]
     assert worker.poll() is None
     assert 'ValueError' in capfd.readouterr().err
+
+
+def test_a_large_job_does_not_wait_in_the_caller_until_the_child_has_loaded():
+    """A pipe holds 64 kB: the caller, an executor, stood still until the child read the rest."""
+    worker = EstimationProcess()
+    began = time.monotonic()
+    worker.submit(Job(JobKind.ESTIMATE, Request('x' * 10_000_000)))
+    submitted = time.monotonic() - began
+    while not worker._is_ready:
+        assert worker.poll() is None and time.monotonic() - began < 120
+        time.sleep(0.01)
+    loaded = time.monotonic() - began
+    assert submitted < loaded / 4
+    assert answer(worker, 120).job.request.what.startswith('xxx')
