@@ -161,6 +161,15 @@ def test_nothing_is_interpolated_across_a_jump_of_absolute_poses():
     assert np.abs(speeds[1] - speeds[0]).max() < 0.1
 
 
+def test_a_robot_that_hops_and_rests_is_not_joined_at_its_hops():
+    hops = np.repeat(np.arange(8), 30)
+    poses = BodyPoses(np.tile(np.eye(3), (240, 1, 1)), np.outer(0.2 * hops, [1.0, 0, 0]),
+                      np.arange(240) * 10**8, kind='odometry')
+    track = BodyTrack(poses, np.arange(2), {0: 0, 1: 239 * 10**8})
+    assert track.begun_anew == 0
+    assert np.ptp(track.at(0.0, np.arange(2)).position[:, 0]) == pytest.approx(1.4)
+
+
 def test_a_drive_that_has_only_begun_lacks_images_and_no_poses():
     """It was told to record poses and images over the same time."""
     rng = np.random.default_rng(5)

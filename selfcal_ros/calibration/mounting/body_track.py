@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.mounting.pose_jumps import jumps_of, without_jumps
+from selfcal_ros.calibration.mounting.pose_jumps import jumps_of, MOST_RESTARTS, without_jumps
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
@@ -117,7 +117,7 @@ class BodyTrack:
         self._jumps = np.zeros(len(steps), bool)
         if self.timed:
             self._jumps = jumps_of(poses)
-            if self.odometry and self._jumps.any():
+            if self.odometry and 0 < self._jumps.sum() <= MOST_RESTARTS:
                 self.begun_anew = int(self._jumps.sum())
                 self._poses = without_jumps(poses, self._jumps)
                 self._jumps = np.zeros(len(steps), bool)

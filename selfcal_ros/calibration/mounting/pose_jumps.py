@@ -25,6 +25,8 @@ from selfcal_ros.values.body_poses import BodyPoses
 #: A step is a jump if it is so many times as large as both its neighbours, and as all but so many
 #: percent of the steps.
 TIMES, MOST_STEPS = 6.0, 95
+#: Odometry begins anew no more often; a robot that hops and rests, told at a low rate, does.
+MOST_RESTARTS = 3
 #: Smaller steps are none: metres, radians.
 LEAST_M, LEAST_RAD = 1e-3, 1e-3
 
