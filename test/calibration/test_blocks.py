@@ -128,7 +128,7 @@ def test_path_by_its_axis_and_by_its_views(path, rng):
     axis = np.empty((VIEWS, 3, 2))
     path.by_axis(J, placed(still, none), axis)
     assert agrees(axis, difference(lambda step: placed(step, none), len(SHARED_NAMES)))
-    assert agrees(path.by_views(J, turned, Y[:, 3:], view, planar=False),
+    assert agrees(path.by_views(J, turned, Y[:, 3:], view),
                   difference(lambda step: placed(still, none + step), len(VIEW_NAMES)))
 
 
@@ -152,7 +152,8 @@ def test_the_prior_of_the_path_by_its_unknowns(path, motion):
     scale = path.step_length()
 
     def cost(step):
-        moved = path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
+        moved = path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view],
+                           unknowns.view_names)
         # the scale of the prior is that of the path at hand
         return np.array(path_prior(moved.scaled(1.0), replace(
             motion, height_sigma=motion.height_sigma * scale / moved.step_length()), unknowns)[0])
@@ -285,10 +286,12 @@ def test_the_gradient_is_that_of_the_cost(name, path, rng):
 
 def test_unknowns_are_found_by_name():
     unknowns, count = SceneModel(PLANAR).unknowns(3, LENS.names), len(LENS)
-    assert len(unknowns) == count + 2 + 3 * len(VIEW_NAMES)
     assert unknowns.places(('cx', 'axis_y')).tolist() == [2, count + 1]
-    heights = unknowns.of_views('height')[:, 0]
-    assert not unknowns.free[heights].any() and unknowns.free[unknowns.of_views('angle')[1:]].all()
+    # a plane that is exact has no tilts and no heights, and a camera that turns has no places
+    assert unknowns.view_names == ('angle', 'x', 'y') and len(unknowns) == count + 2 + 3 * 3
+    assert SceneModel(ROTATION).unknowns(3, ()).view_names == ('angle', 'tilt_x', 'tilt_y')
+    assert SceneModel(GENERAL).unknowns(3, ()).view_names == VIEW_NAMES
+    assert unknowns.free[unknowns.of_views('angle')[1:]].all()
     assert unknowns.count == count + 2 + 2 * 3
     assert LENS.names[:2] == ('f', 'aspect')
     with pytest.raises(ValueError):

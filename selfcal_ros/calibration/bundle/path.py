@@ -157,9 +157,19 @@ class AxisPath:
         """Return views with the world's origin at one place (3,), before the mount."""
         return replace(self, translation=np.broadcast_to(place, self.translation.shape).copy())
 
-    def moved(self, shared: np.ndarray, steps: np.ndarray) -> AxisPath:
-        """Return the path after steps of `SHARED_NAMES` (2,) and `VIEW_NAMES` (V, 6)."""
-        mount = self.mount
+    def moved(self, shared: np.ndarray, steps: np.ndarray,
+              names: tuple[str, ...] = VIEW_NAMES) -> AxisPath:
+        """
+        Return the path after steps of `SHARED_NAMES` (2,) and of the views.
+
+        The latter are (V, k), by names; those that `VIEW_NAMES` lacks are none of the path's.
+        """
+        mount, given = self.mount, steps
+        if names[:len(VIEW_NAMES)] != VIEW_NAMES:
+            steps = np.zeros((len(self), len(VIEW_NAMES)))
+            for k, name in enumerate(VIEW_NAMES):
+                if name in names:
+                    steps[:, k] = given[:, names.index(name)]
         if shared.any():
             mount = mount @ rotation_matrix(np.array([shared[0], shared[1], 0.0]))
         return AxisPath(mount, self.angle + steps[:, 0], self.tilt + steps[:, 3:5],
@@ -190,9 +200,9 @@ class AxisPath:
         out[:, :, :2] = crossed(placed, J)[:, :, :2]
 
     def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
-                 view: np.ndarray, planar: bool) -> np.ndarray:
+                 view: np.ndarray, names: tuple[str, ...] = VIEW_NAMES) -> np.ndarray:
         """
-        Differentiate by `VIEW_NAMES`.
+        Differentiate by what moves the views.
 
         Parameters
         ----------
@@ -203,26 +213,27 @@ class AxisPath:
         weight : ndarray, shape (N, 1)
             Last coordinate of the homogeneous points.
         view : ndarray of int, shape (N,)
-        planar : bool
-            Tilts and heights are fixed; their derivatives are zero.
+        names : tuple of str
+            Some of `VIEW_NAMES`, in their order; others are none of the path's.
 
         Returns
         -------
-        ndarray, shape (N, m, 6)
+        ndarray, shape (N, m, k)
+            By those that are of the path.
 
         """
-        own = np.empty((*J.shape[:2], len(VIEW_NAMES)))
+        names = tuple(name for name in VIEW_NAMES if name in names)
+        own = np.empty((*J.shape[:2], len(names)))
         axis = self._swings[:, :, 2]
         across = crossed(turned, J)
         own[:, :, 0] = np.einsum('nki,ni->nk', across, np.take(axis, view, axis=0))
-        own[:, :, 1] = J[:, :, 0] * weight
-        own[:, :, 2] = J[:, :, 1] * weight
-        if planar:
-            own[:, :, 3:] = 0
-            return own
-        by_tilt = left_jacobian(pad(self.tilt))
-        own[:, :, 3:5] = across @ np.take(by_tilt[:, :, :2], view, axis=0)
-        own[:, :, 5] = J[:, :, 2] * weight
+        for k, name in enumerate(_MOVES):
+            if name in names:
+                np.multiply(J[:, :, k], weight, out=own[:, :, names.index(name)])
+        if 'tilt_x' in names:
+            by_tilt = left_jacobian(pad(self.tilt))
+            first = names.index('tilt_x')
+            own[:, :, first:first + 2] = across @ np.take(by_tilt[:, :, :2], view, axis=0)
         return own
 
 
@@ -251,33 +262,35 @@ def path_unknowns(motion: MotionModel, views: int, lens_names: tuple[str, ...]) 
     Returns
     -------
     Unknowns
-        Those of the lens are all free.
+        Those of the lens are all free. What no view of such a motion has is none of them.
 
     """
-    unknowns = Unknowns.all_free(lens_names, SHARED_NAMES, VIEW_NAMES, views)
+    names = _moving(motion)
+    unknowns = Unknowns.all_free(lens_names, SHARED_NAMES, names, views)
     free, axis = unknowns.free, unknowns.places(SHARED_NAMES)
+    moves, turns = (unknowns.of_views(*(name for name in some if name in names))
+                    for some in (_MOVES, _TURNS))
     # the world frame is that of the first view
-    free[unknowns.of_views('angle', *_MOVES)[0]] = False
-    tilts = unknowns.of_views('tilt_x', 'tilt_y')
-    if motion.tilt_sigma_rad == 0:
-        free[tilts] = False
-    elif not motion.keeps_plane:
+    free[unknowns.of_views('angle')[0]] = free[moves[0]] = False
+    if not motion.keeps_plane:
         # no plane: the world's directions are gauge, too
-        free[tilts[0]] = False
+        free[turns[0]] = False
         free[axis] = False
     if motion.fixed_pivot:
         # the world's origin is the point that stays
-        moves = unknowns.of_views(*_MOVES)
         free[moves[0]] = True
         unknowns.moves_with[moves] = moves[0]
-    if motion.height_sigma == 0:
-        free[unknowns.of_views('height')] = False
-    if motion.fixed_centre:
-        free[unknowns.of_views(*_MOVES)] = False
     if motion.parallel:
-        turns, tied = unknowns.of_views(*_TURNS), unknowns.moves_with
-        tied[turns[list(motion.parallel)]] = turns[motion.parallel[0]]
+        unknowns.moves_with[turns[list(motion.parallel)]] = turns[motion.parallel[0]]
     return unknowns
+
+
+def _moving(motion: MotionModel) -> tuple[str, ...]:
+    """Name the unknowns of a view that a kind of motion has: what is always zero is none."""
+    fixed = {'tilt_x': not motion.tilt_sigma_rad, 'tilt_y': not motion.tilt_sigma_rad,
+             'height': not motion.height_sigma, **dict.fromkeys(
+                 _MOVES if motion.fixed_centre else (), True)}
+    return tuple(name for name in VIEW_NAMES if not fixed.get(name))
 
 
 def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns) -> PriorTerms:
@@ -315,7 +328,9 @@ def path_prior_count(motion: MotionModel, views: int) -> int:
 def scale_gauge(path: AxisPath, unknowns: Unknowns) -> np.ndarray:
     """Return the direction in the unknowns that only scales the world, unit length, (n,)."""
     direction = np.zeros(len(unknowns))
-    direction[unknowns.of_views(*_MOVES)] = path.translation
+    for name, values in zip(_MOVES, path.translation.T):
+        if name in unknowns.view_names:
+            direction[unknowns.of_views(name)[:, 0]] = values
     direction[~unknowns.free] = 0
     direction /= max(float(np.linalg.norm(direction)), 1e-300)
     return direction

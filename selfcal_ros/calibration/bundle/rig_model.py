@@ -153,8 +153,7 @@ class RigModel(SceneModel):
         self._by_cameras(state.lens, at.seen, by_rig, weight, unknowns, shared)
         J = by_rig @ path.mount
         path.by_axis(J, at.placed, shared[:, :, unknowns.lens.stop:])
-        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
-        own = path.by_views(J, at.turned, weight, view, planar)
+        own = path.by_views(J, at.turned, weight, view, unknowns.view_names)
         return Linearisation(residual, at.seen.ahead, shared, own,
                              self._by_points(state, blocks, at, by_rig))
 
@@ -214,6 +213,7 @@ class RigModel(SceneModel):
         assert isinstance(state, RigState)
         points = state.points + np.einsum('pij,pj->pi', state.tangents, steps)
         points /= lengths(points)[:, None]
-        path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
+        path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view],
+                                unknowns.view_names)
         return replace(state, lens=state.lens.moved(step[unknowns.lens]), path=path,
                        points=points)

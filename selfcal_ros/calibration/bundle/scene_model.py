@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, P
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.own_rows import OwnRows
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
-                                                 scale_gauge, SHARED_NAMES)
+                                                 scale_gauge, SHARED_NAMES, VIEW_NAMES)
 from selfcal_ros.calibration.bundle.shutter import (LINE_DELAY, RowShifts, with_line_delay,
                                                     with_stated_delay)
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -145,8 +145,7 @@ class SceneModel:
         path.by_axis(J, seen.placed, shared[:, :, unknowns.lens.stop:])
         if self.shutter is not None:
             shared[:, :, unknowns.places((LINE_DELAY,))[0]] = self.shutter.slope
-        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
-        own = path.by_views(J, seen.turned, seen.Y[:, 3:], view, planar)
+        own = path.by_views(J, seen.turned, seen.Y[:, 3:], view, unknowns.view_names)
         if self.own_rows is not None:
             own = np.concatenate([own, self.own_rows.slope], axis=2)
         if self.motion.shift is not None:
@@ -188,7 +187,8 @@ class SceneModel:
         """Move a state by a step (n,) of what remains and steps (P, 3) of the points."""
         points = state.points + np.einsum('pij,pj->pi', state.tangents, steps)
         points /= lengths(points)[:, None]
-        path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
+        path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view],
+                                unknowns.view_names)
         delay = state.line_delay
         if self.shutter is not None:
             delay += float(step[unknowns.places((LINE_DELAY,))[0]])
@@ -217,8 +217,9 @@ class SceneModel:
         """Return the step (n,) of all but the axis to another state; the axis has its own."""
         step = step.copy()
         step[unknowns.lens] = other.lens.values - state.lens.values
-        of_path = state.path.steps_to(other.path)
-        step[unknowns.by_view[:, :of_path.shape[1]]] = of_path
+        for name, values in zip(VIEW_NAMES, state.path.steps_to(other.path).T):
+            if name in unknowns.view_names:
+                step[unknowns.of_views(name)[:, 0]] = values
         if self.motion.zoom is not None and other.zoom is not None:
             change = other.zoom.log_focal - (0 if state.zoom is None else state.zoom.log_focal)
             if self.motion.zoom.is_steady:

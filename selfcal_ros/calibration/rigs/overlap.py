@@ -90,10 +90,11 @@ def unseen_heights(fit: RobustFit, overlap: Overlap, sigma_inflation: float,
     """
     if not fit.motion.keeps_plane:
         return []
-    path, places = fit.state.path, fit.bundle.unknowns.of_views('tilt_x', 'tilt_y')
-    feigned = np.sum(fit.covariance.diagonal()[places]) * sigma_inflation**2
-    if np.sum(path.tilt**2) > ABOVE_NOISE * feigned:
-        return []
+    path, unknowns = fit.state.path, fit.bundle.unknowns
+    if fit.motion.tilt_sigma_rad:
+        variances = fit.covariance.diagonal()[unknowns.of_views('tilt_x', 'tilt_y')]
+        if np.sum(path.tilt**2) > ABOVE_NOISE * np.sum(variances) * sigma_inflation**2:
+            return []
     others = set(overlap.group.tolist()) - {int(overlap.group[0])}
     return [(np.flatnonzero(overlap.group == one).tolist(), path.mount[:, 2])
             for one in sorted(others)]

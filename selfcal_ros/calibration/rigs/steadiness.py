@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from selfcal_ros.calibration.bundle.path import VIEW_NAMES
 from selfcal_ros.calibration.bundle.rig import POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.rigs.start import RigObservations
@@ -222,9 +223,10 @@ def _flow(fit: RobustFit, times: np.ndarray, others: int) -> np.ndarray:
 
 
 def _velocities(fit: RobustFit, times: np.ndarray) -> np.ndarray:
-    """Differentiate the unknowns of the views by time, in usual intervals, (V, 6)."""
+    """Differentiate the unknowns of the views by time, in usual intervals, (V, v)."""
     path, time = fit.state.path, times / np.median(np.diff(times))
-    values = np.column_stack([np.unwrap(path.angle), path.translation[:, :2], path.tilt,
-                              path.translation[:, 2]])
-    velocities: np.ndarray = CubicSpline(time, values)(time, 1)
+    values = dict(zip(VIEW_NAMES, np.column_stack([
+        np.unwrap(path.angle), path.translation[:, :2], path.tilt, path.translation[:, 2]]).T))
+    moving = np.column_stack([values[name] for name in fit.bundle.unknowns.view_names])
+    velocities: np.ndarray = CubicSpline(time, moving)(time, 1)
     return velocities

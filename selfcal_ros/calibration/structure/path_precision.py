@@ -32,6 +32,9 @@ from selfcal_ros.calibration.structure.metric_structure import middle_steps, wor
 from selfcal_ros.geometry.projective import camera_centres, cross_matrix
 from selfcal_ros.geometry.rotation import left_jacobian, pad
 
+#: What moves a view, in the order of the derivatives.
+_OWN = ('angle', 'tilt_x', 'tilt_y', 'x', 'y', 'height')
+
 
 def pose_precision(fit: RobustFit, planar: bool) -> PosePrecision:
     """
@@ -73,7 +76,6 @@ def path_slopes(path: AxisPath, unknowns: Unknowns) -> tuple[csr_array, csr_arra
     R_back = np.swapaxes(R, 1, 2)
     # the mount turns all cameras and moves none
     axis = np.broadcast_to(unknowns.places(SHARED_NAMES), (views, 2))
-    own = unknowns.of_views('angle', 'tilt_x', 'tilt_y', 'x', 'y', 'height')
     turns, moves = np.zeros((2, views, 3, 8))
     turns[:, :, :2] = -R_back[:, :, :2]
     up = np.array([0.0, 0.0, 1.0])
@@ -85,10 +87,13 @@ def path_slopes(path: AxisPath, unknowns: Unknowns) -> tuple[csr_array, csr_arra
         turns[:, :, 3 + k] = -np.einsum('vij,vj->vi', R_back, swing)
         moves[:, :, 3 + k] = np.einsum('vij,vj->vi', R_back, np.cross(swing, path.translation))
     moves[:, :, 5:] = -R_back
-    columns = np.repeat(np.hstack([axis, own])[:, None], 3, axis=1).ravel()
-    rows = np.repeat(np.arange(3 * views), 8)
-    by_turns, by_moves = (csr_array((one.ravel(), (rows, columns)), (3 * views, len(unknowns)))
-                          for one in (turns, moves))
+    # what no view of such a motion has does not move it
+    own = {name: 2 + k for k, name in enumerate(_OWN) if name in unknowns.view_names}
+    columns = np.repeat(np.hstack([axis, unknowns.of_views(*own)])[:, None], 3, axis=1).ravel()
+    some = [0, 1, *own.values()]
+    rows = np.repeat(np.arange(3 * views), len(some))
+    by_turns, by_moves = (csr_array((one[..., some].ravel(), (rows, columns)),
+                                    (3 * views, len(unknowns))) for one in (turns, moves))
     return by_turns, by_moves
 
 
