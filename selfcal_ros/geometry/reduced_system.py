@@ -74,6 +74,47 @@ class Elimination:
         return carried, float(np.sum(half**2))
 
 
+@dataclass(frozen=True)
+class FurtherUnknowns:
+    """
+    Normal equations of further unknowns beside a system, the points eliminated.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (N, m, q)
+        Derivatives of every residual.
+    coupling : ndarray, shape (n, q)
+        Products with the unknowns of the system.
+    own : ndarray, shape (q, q)
+    gradient : ndarray, shape (q,)
+    through : ndarray, shape (P, p, q)
+        By what the points follow, divided by the root of their blocks.
+
+    """
+
+    columns: np.ndarray
+    coupling: np.ndarray
+    own: np.ndarray
+    gradient: np.ndarray
+    through: np.ndarray
+
+    def first(self, count: int) -> FurtherUnknowns:
+        """Return the first of them alone."""
+        return FurtherUnknowns(self.columns[:, :, :count], self.coupling[:, :count],
+                               self.own[:count, :count], self.gradient[:count],
+                               self.through[:, :, :count])
+
+    def influence(self, system: ReducedSystem, rows: np.ndarray) -> np.ndarray:
+        """Add to `ReducedSystem.influence` what rows (k, q) of these unknowns do: (N, k)."""
+        moved = self.columns @ rows.T
+        own_points = np.einsum('nmk,nm->nk', system.jac_point, system.residual)
+        half = np.einsum('nij,nj->ni', system.inverse_root[system.blocks.point], own_points)
+        effect = np.einsum('nmk,nm->nk', moved, system.residual)
+        effect -= np.einsum('ni,nik->nk', half, (self.through @ rows.T)[system.blocks.point])
+        influence: np.ndarray = -effect
+        return influence
+
+
 @dataclass
 class ReducedSystem:
     """
@@ -276,6 +317,37 @@ class ReducedSystem:
             gradient[views] -= W.T @ self.half_b[members].ravel()
         return coupling, own, gradient
 
+    def beside(self, columns: np.ndarray) -> FurtherUnknowns:
+        """
+        Eliminate the points from the equations of further unknowns that all views share.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (N, m, q)
+            Derivatives of every residual by them, weighed as those are.
+
+        Returns
+        -------
+        FurtherUnknowns
+
+        """
+        g, blocks, count = self._shared, self.blocks, columns.shape[2]
+        flat = columns.reshape(-1, count)
+        coupling = np.empty((len(self.gradient), count))
+        coupling[:g] = self._by_shared().T @ flat
+        if len(coupling) > g:
+            coupling[g:] = blocks.products_by_views(
+                self.jac_rest[:, :, g:], columns).reshape(-1, count)
+        through = self.inverse_root @ blocks.products_by_points(self.jac_point, columns)
+        for members, M, own in self._factors:
+            product = M.T @ through[members].reshape(len(M), count)
+            coupling[:g] -= product[:g]
+            coupling[own] -= product[g:]
+        spread = through.reshape(-1, count)
+        return FurtherUnknowns(columns, coupling, flat.T @ flat - spread.T @ spread,
+                               flat.T @ self.residual.ravel() - spread.T @ self.half_b.ravel(),
+                               through)
+
     def elimination(self, selection: csr_array) -> Elimination:
         """
         Tell by what the points follow the independent unknowns of the rest.
@@ -302,9 +374,11 @@ class ReducedSystem:
         """Change J · step of the residuals (N, m) to first order."""
         g = self._shared
         change: np.ndarray = (
-            self.jac_rest[:, :, :g] @ step[:g]
-            + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
+            (self._by_shared() @ step[:g]).reshape(self.residual.shape)
+            + np.einsum('nmk,nk->nm', self.jac_point,
+                        np.take(point_steps, self.blocks.point, axis=0)))
         if len(step) > g:
-            per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
+            per_view = np.take(step[g:].reshape(self.blocks.view_count, -1), self.blocks.view,
+                               axis=0)
             change += np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
         return change

@@ -144,6 +144,21 @@ class PointBlocks:
         total: np.ndarray = self._view_sum @ values
         return total
 
+    def products_by_views(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Sum AᵀB over the observations of each view, of (N, m, v) and (N, m, q): (V, v, q)."""
+        products = np.zeros((self.view_count, one.shape[2], other.shape[2]))
+        for k in range(self.view_count):
+            rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
+            np.matmul(one[rows].reshape(-1, one.shape[2]).T,
+                      np.take(other, rows, axis=0).reshape(-1, other.shape[2]), out=products[k])
+        return products
+
+    def products_by_points(self, jac_point: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Sum JᵀB over the observations of each point, of (N, m, p) and (N, m, q): (P, p, q)."""
+        products: np.ndarray = (self._sparse(jac_point) @ other.reshape(
+            -1, other.shape[2])).reshape(self.point_count, jac_point.shape[2], -1)
+        return products
+
     def point_equations(self, jac_point: np.ndarray, residual: np.ndarray, weight: np.ndarray,
                         ) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -188,6 +203,14 @@ class PointBlocks:
                          ) -> tuple[np.ndarray, np.ndarray]:
         """Sum Jᵀ J (P, p, p) and Jᵀ S (P, p, g) over points that few observations see each."""
         m, p = jac_point.shape[1:]
+        J = self._sparse(jac_point)
+        H, cross = ((J @ jac.reshape(len(self.point) * m, -1)).reshape(self.point_count, p, -1)
+                    for jac in (jac_point, jac_shared))
+        return H, cross
+
+    def _sparse(self, jac_point: np.ndarray) -> csr_array:
+        """Write Jᵀ of all points out, (P p, N m); it is written over by the next."""
+        m, p = jac_point.shape[1:]
         if self._transposed is None or self._transposed[0].shape[1:] != (p, m):
             # entry (n, i, k) of Jᵀ: row i of the point's, column k of the observation's
             n, i, k = np.ogrid[:len(self.point), :p, :m]
@@ -202,9 +225,7 @@ class PointBlocks:
                 (self.point_count * p, len(self.point) * m))
         _, source, J = self._transposed
         J.data = jac_point.ravel()[source]
-        H, cross = ((J @ jac.reshape(len(self.point) * m, -1)).reshape(self.point_count, p, -1)
-                    for jac in (jac_point, jac_shared))
-        return H, cross
+        return J
 
     def _grams(self, full: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Return every view, and JᵀJ of its observations, from rows (N, m, g + v)."""

@@ -147,6 +147,32 @@ def test_views_that_share_no_window_are_grouped_right():
     assert b.stop <= len(system.matrix)
 
 
+def test_further_unknowns_beside_a_system_are_as_if_they_had_been_in_it():
+    rng = np.random.default_rng(5)
+    point = np.repeat(np.arange(40), 4)
+    view = (np.arange(40) // 5)[:, None] + np.array([0, 1, 2, 4])
+    blocks, n = PointBlocks(point, view.ravel()), 160
+    shared, more, own, points = (rng.standard_normal((n, 2, k)) for k in (3, 2, 4, 3))
+    residual = rng.standard_normal((n, 2))
+    system = blocks.unreduced(shared, own, points, residual).reduced()
+    whole = blocks.unreduced(np.concatenate([shared, more], axis=2), own, points,
+                             residual).reduced()
+    further, rest = [3, 4], np.r_[:3, 5:len(whole.matrix)]
+    beside = system.beside(more)
+
+    np.testing.assert_allclose(beside.coupling, whole.matrix[np.ix_(rest, further)], atol=1e-9)
+    np.testing.assert_allclose(beside.own, whole.matrix[np.ix_(further, further)], atol=1e-9)
+    np.testing.assert_allclose(beside.gradient, whole.gradient[further], atol=1e-9)
+    step = rng.standard_normal(len(whole.matrix))
+    np.testing.assert_allclose(system.point_steps(
+        step[rest], system.half_b + beside.through @ step[further]), whole.point_steps(step),
+        atol=1e-9)
+    rows = rng.standard_normal((2, len(whole.matrix)))
+    np.testing.assert_allclose(system.influence(rows[:, rest])
+                               + beside.influence(system, rows[:, further]),
+                               whole.influence(rows), atol=1e-9)
+
+
 def test_it_returns_to_the_truth_from_afar():
     facts = CameraFacts(aspect_ratio=1.0, distortion='none')
     bundle, truth = problem(0.0, facts=facts)

@@ -26,7 +26,7 @@ of a rig has a field of its own; all have one standard deviation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -35,11 +35,9 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (images_alike,
                                                                     region_excess)
-from selfcal_ros.calibration.uncertainty.joint_equations import joint_equations, JointEquations
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
-from selfcal_ros.geometry.selection_matrix import embedded_selection
+from selfcal_ros.geometry.reduced_system import FurtherUnknowns
 
 #: Degrees of the polynomials: the highest have waves of a quarter of the image.
 MIN_DEGREE, MAX_DEGREE = 2, 8
@@ -229,29 +227,24 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray,
     """
     sizes = np.asarray(size)
     modes, degree = _modes_of(fit, sizes)
-    # the images are worth less by what errors share, and what is known beforehand with them
-    joint = joint_equations(fit, [modes] if rival is None else [modes, rival.columns],
-                            variance_inflation=variance_inflation,
-                            prior_weight=1 / variance_inflation)
-    system = joint.system
-    coupling = system.columns(joint.shared)
-    factor = DampedFactor(system.matrix, system.diagonal, 0.0, embedded_selection(
-        fit.bundle.unknowns.selection, joint.place, len(system.matrix)), overwrite=True)
-    if not factor.usable:
-        return None
-    solved = factor.solve(coupling)
+    columns = modes if rival is None else np.concatenate([modes, rival.columns], axis=2)
+    count, at_optimum = modes.shape[2], fit.information
+    beside = at_optimum.system.beside(
+        columns * fit.bundle.root_weights(fit.linearisation)[:, :, None])
+    solved = at_optimum.covariance @ beside.coupling / at_optimum.factor
     spread, towards = fit.bundle.loss_factors(fit.linearisation)
-    own = (coupling[joint.shared] - coupling.T @ solved) / spread
-    pull = (system.gradient[joint.shared] - solved.T @ system.gradient) * towards / spread
-    count = modes.shape[2]
+    # the images are worth less by what errors share, and what is known beforehand with them
+    worth = 1 / (spread * variance_inflation)
+    own = (beside.own - beside.coupling.T @ solved) * worth
+    pull = (beside.gradient - solved.T @ at_optimum.system.gradient) * towards * worth
     if rival is not None and _most_probable(
             *_eliminated(own, pull, count, rival.sigma), degree).gain < MIN_GAIN:
         return None
     spectrum = _most_probable(own[:count, :count], pull[:count], degree)
     if spectrum.gain < MIN_GAIN:
         return None
-    return _allowed_for(fit, joint, factor, solved[:, :count], spectrum,
-                        spectrum.coefficients(pull[:count]), modes, sizes)
+    return _allowed_for(fit, beside.first(count), solved[:, :count], spectrum,
+                        spectrum.coefficients(pull[:count]), modes, sizes, variance_inflation)
 
 
 def _modes_of(fit: RobustFit, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -267,26 +260,24 @@ def _modes_of(fit: RobustFit, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return modes, np.tile([i + j for i, j in _powers(highest)], np.size(sizes))
 
 
-def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, solved: np.ndarray,
-                 spectrum: _Spectrum, coefficients: np.ndarray, modes: np.ndarray,
-                 sizes: np.ndarray) -> DistortionMisfit | None:
+def _allowed_for(fit: RobustFit, field: FurtherUnknowns, solved: np.ndarray, spectrum: _Spectrum,
+                 coefficients: np.ndarray, modes: np.ndarray, sizes: np.ndarray,
+                 variance_inflation: float) -> DistortionMisfit | None:
     """
     Go to the mean over all fields of the size found.
 
     Parameters
     ----------
     fit : RobustFit
-    joint : JointEquations
-        Of the adjustment and the field.
-    factor : DampedFactor
-        Of the adjustment's own equations.
+    field : FurtherUnknowns
+        Its equations beside those of the adjustment.
     solved : ndarray, shape (n, q)
         How the adjustment's unknowns follow the coefficients, with the sign turned.
     spectrum : _Spectrum
     coefficients : ndarray, shape (q,)
         The most probable ones, pixels.
     modes : ndarray, shape (N, 2, q)
-    sizes : ndarray
+    sizes, variance_inflation
         As in `find_distortion_misfit`.
 
     Returns
@@ -295,40 +286,44 @@ def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, so
         None where it lies beyond the linear range, or where no lens is.
 
     """
-    bundle, state, system = fit.bundle, fit.state, joint.system
-    spread, towards = bundle.loss_factors(fit.linearisation)
-    step = -towards * factor.solve(system.gradient) - solved @ coefficients
-    step[joint.shared[:len(coefficients)]] = coefficients
-    points = system.point_steps(step)
-    found = bundle.moved(state, step[joint.place], points)
+    bundle, state, at_optimum = fit.bundle, fit.state, fit.information
+    system, factor = at_optimum.system, at_optimum.factor
+    _, towards = bundle.loss_factors(fit.linearisation)
+    step = (-towards / factor * (at_optimum.covariance @ system.gradient)
+            - solved @ coefficients)
+    points = system.point_steps(step, system.half_b + field.through @ coefficients)
+    found = bundle.moved(state, step, points)
     moved = np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1)
     if not (found.lens.is_possible and (moved < MAX_SHIFT).all()):
         return None
-    change = system.predict(step, points)
-    system.residual = system.residual + change
-    rows = _covariance_rows(fit, joint, factor, solved, spectrum, spread)
+    change = system.predict(step, points) + field.columns @ coefficients
+    moved_system = replace(system, residual=system.residual + change)
+    rows, of_field = _covariance_rows(fit, solved, spectrum, variance_inflation)
     inner = rows[:, bundle.unknowns.lens]
-    ratio, added = region_excess(inner, towards / spread * system.influence(rows),
+    influence = moved_system.influence(rows) + field.influence(moved_system, of_field)
+    influence *= towards / (factor * variance_inflation)
+    ratio, added = region_excess(inner, influence,
                                  *images_alike(bundle.xy, sizes, fit.observations.camera))
+    root = bundle.root_weights(fit.linearisation)
     displacement = modes @ coefficients
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
     return DistortionMisfit(spectrum.size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
-                            fit.linearisation.residual + change / np.maximum(joint.root, 1e-300),
+                            fit.linearisation.residual + change / np.maximum(root, 1e-300),
                             modes * spectrum.share)
 
 
-def _covariance_rows(fit: RobustFit, joint: JointEquations, factor: DampedFactor,
-                     solved: np.ndarray, spectrum: _Spectrum, spread: float) -> np.ndarray:
-    """Rows (k, n) of the joint covariance of all unknowns and the field, of the lens's."""
-    count, chosen = len(joint.system.matrix), fit.bundle.unknowns.free_lens
-    unit = np.zeros((count, len(chosen)))
-    unit[chosen, np.arange(len(chosen))] = 1
+def _covariance_rows(fit: RobustFit, solved: np.ndarray, spectrum: _Spectrum,
+                     variance_inflation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the lens's unknowns (k, n) and (k, q) of the joint covariance with the field."""
+    chosen = fit.bundle.unknowns.free_lens
     through = (solved[chosen] @ spectrum.vectors) * spectrum.posterior
-    rows = np.zeros((len(fit.state.lens), count))
-    rows[chosen] = spread * factor.solve(unit).T + through @ (solved @ spectrum.vectors).T
-    rows[np.ix_(chosen, joint.shared[:len(spectrum.values)])] = -through @ spectrum.vectors.T
-    return rows
+    rows = np.zeros((len(fit.state.lens), len(solved)))
+    rows[chosen] = (variance_inflation * fit.covariance[chosen]
+                    + through @ (solved @ spectrum.vectors).T)
+    of_field = np.zeros((len(rows), len(spectrum.values)))
+    of_field[chosen] = -through @ spectrum.vectors.T
+    return rows, of_field
 
 
 def _eliminated(information: np.ndarray, pull: np.ndarray, count: int, sigma: float,

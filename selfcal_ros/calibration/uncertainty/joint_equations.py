@@ -53,7 +53,7 @@ class JointEquations:
 
 def joint_equations(fit: RobustFit, shared: Sequence[np.ndarray],
                     of_views: Sequence[np.ndarray] = (), variance_inflation: float = 1.0,
-                    prior_weight: float = 1.0) -> JointEquations:
+                    ) -> JointEquations:
     """
     Put the unknowns of an optimum and further ones into one system of normal equations.
 
@@ -67,8 +67,6 @@ def joint_equations(fit: RobustFit, shared: Sequence[np.ndarray],
         The same of unknowns that every view has of its own.
     variance_inflation : float
         Variance over that with independent errors: observations weigh less by it.
-    prior_weight : float
-        Of what is known beforehand.
 
     Returns
     -------
@@ -89,7 +87,7 @@ def joint_equations(fit: RobustFit, shared: Sequence[np.ndarray],
         linearisation.residual * root).reduced()
     by_view = np.arange(count, len(system.matrix)).reshape(bundle.blocks.view_count, own)
     place = np.r_[:first, by_view[:, :view].ravel()]
-    bundle.add_priors(system, state, place, prior_weight)
+    bundle.add_priors(system, state, place)
     gauge = bundle.model.gauge(state, bundle.unknowns)
     if gauge is not None:
         wide = np.zeros(len(system.matrix))
