@@ -229,9 +229,12 @@ class Bundle(Generic[StateT]):
         """Weigh a linearisation: its equations, and the roots of the weights (N, 1)."""
         root = self.root_weights(linearisation, robust)
         wide = root[..., None]
-        return self.blocks.unreduced(linearisation.shared * wide, linearisation.view * wide,
-                                     linearisation.eliminated * wide,
-                                     linearisation.residual * root), root
+        shared, view = linearisation.shared, linearisation.view
+        full = np.empty((*shared.shape[:2], shared.shape[2] + view.shape[2]))
+        np.multiply(shared, wide, out=full[:, :, :shared.shape[2]])
+        np.multiply(view, wide, out=full[:, :, shared.shape[2]:])
+        return self.blocks.unreduced_rows(full, view.shape[2], linearisation.eliminated * wide,
+                                          linearisation.residual * root), root
 
     def _reduced(self, unreduced: UnreducedSystem, state: StateT, damping: float,
                  terms: PriorTerms | None = None) -> ReducedSystem:

@@ -197,7 +197,9 @@ class AxisPath:
             Where the derivatives go.
 
         """
-        out[:, :, :2] = crossed(placed, J)[:, :, :2]
+        x, y, z = (placed[:, k, None] for k in range(3))
+        np.subtract(y * J[:, :, 2], z * J[:, :, 1], out=out[:, :, 0])
+        np.subtract(z * J[:, :, 0], x * J[:, :, 2], out=out[:, :, 1])
 
     def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
                  view: np.ndarray, names: tuple[str, ...] = VIEW_NAMES) -> np.ndarray:
@@ -224,23 +226,37 @@ class AxisPath:
         """
         names = tuple(name for name in VIEW_NAMES if name in names)
         own = np.empty((*J.shape[:2], len(names)))
-        axis = self._swings[:, :, 2]
-        across = crossed(turned, J)
-        own[:, :, 0] = np.einsum('nki,ni->nk', across, np.take(axis, view, axis=0))
         for k, name in enumerate(_MOVES):
             if name in names:
                 np.multiply(J[:, :, k], weight, out=own[:, :, names.index(name)])
+        if 'tilt_x' not in names and not self.tilt.any():
+            x, y = (turned[:, k, None] for k in range(2))
+            np.subtract(x * J[:, :, 1], y * J[:, :, 0], out=own[:, :, 0])
+            return own
+        across = crossed(turned, J)
+        turns = self._swings[:, :, 2:]
         if 'tilt_x' in names:
-            by_tilt = left_jacobian(pad(self.tilt))
-            first = names.index('tilt_x')
-            own[:, :, first:first + 2] = across @ np.take(by_tilt[:, :, :2], view, axis=0)
+            turns = np.concatenate([turns, left_jacobian(pad(self.tilt))[:, :, :2]], axis=2)
+        turns = rows_of(turns, view)
+        first = names.index('tilt_x') if 'tilt_x' in names else 0
+        for k, place in enumerate((0, first, first + 1)[:turns.shape[2]]):
+            np.add(across[:, :, 0] * turns[:, 0, k, None] + across[:, :, 1] * turns[:, 1, k, None],
+                   across[:, :, 2] * turns[:, 2, k, None], out=own[:, :, place])
         return own
+
+
+def rows_of(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Take rows (N, ...) of an array (n, ...), each number of them in a row in memory."""
+    numbers = np.ascontiguousarray(values.reshape(len(values), -1).T)
+    taken = np.take(numbers, which, axis=1).reshape(*values.shape[1:], len(which))
+    rows: np.ndarray = np.moveaxis(taken, -1, 0)
+    return rows
 
 
 def crossed(vector: np.ndarray, J: np.ndarray) -> np.ndarray:
     """Cross vectors (N, 3) with the rows of J (N, m, 3): J (a × vector) is this times a."""
     x, y, z = (vector[:, k, None] for k in range(3))
-    crossed = np.empty_like(J)
+    crossed = np.empty_like(J)      # in the order in memory of J
     crossed[..., 0] = y * J[..., 2] - z * J[..., 1]
     crossed[..., 1] = z * J[..., 0] - x * J[..., 2]
     crossed[..., 2] = x * J[..., 1] - y * J[..., 0]

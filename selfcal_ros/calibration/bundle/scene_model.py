@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, P
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.own_rows import OwnRows
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
-                                                 scale_gauge, SHARED_NAMES, VIEW_NAMES)
+                                                 rows_of, scale_gauge, SHARED_NAMES, VIEW_NAMES)
 from selfcal_ros.calibration.bundle.shutter import (LINE_DELAY, RowShifts, with_line_delay,
                                                     with_stated_delay)
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -54,16 +54,28 @@ class _Seen:
 
     def by_placed(self, state: SceneState) -> np.ndarray:
         """Differentiate by the points before the mount, (N, 2, 3)."""
-        J: np.ndarray = (self.pixels.by_points().reshape(-1, 3) @ state.path.mount).reshape(
-            -1, 2, 3)
+        by_points, mount = self.pixels.by_points(), state.path.mount
+        J = np.empty((3, 2, len(by_points))).transpose(2, 1, 0)
+        for k in range(3):
+            np.add(by_points[:, :, 0] * mount[0, k] + by_points[:, :, 1] * mount[1, k],
+                   by_points[:, :, 2] * mount[2, k], out=J[:, :, k])
         if not state.lens.model.is_perspective:
             J *= self.sign[:, None, None]
         return J
 
     def by_points(self, J: np.ndarray, state: SceneState, blocks: PointBlocks) -> np.ndarray:
         """Differentiate by small moves of the homogeneous points, (N, 2, 3)."""
-        tangent = np.take(state.tangents, blocks.point, axis=0)
-        by_point: np.ndarray = (J @ self.placing) @ tangent
+        # each component of all observations in a row: products of small matrices take longer
+        placing = rows_of(self.placing, np.arange(len(J)))
+        tangent = rows_of(state.tangents, blocks.point)
+        by_point = np.empty((len(J), 2, 3))
+        for row in range(2):
+            moved = [J[:, row, 0] * placing[:, 0, k] + J[:, row, 1] * placing[:, 1, k]
+                     + J[:, row, 2] * placing[:, 2, k] for k in range(4)]
+            for k in range(3):
+                np.add(moved[0] * tangent[:, 0, k] + moved[1] * tangent[:, 1, k],
+                       moved[2] * tangent[:, 2, k] + moved[3] * tangent[:, 3, k],
+                       out=by_point[:, row, k])
         return by_point
 
 

@@ -46,7 +46,8 @@ class PerspectiveImage:
         """Differentiate by the rays, shape (..., 2, 3)."""
         x, y, depth = self.x, self.y, self._depth
         xx, cross, yy = self._lens.by_point(self._values, x, y)
-        J = np.empty((*x.shape, 2, 3))
+        # each number of all rays in a row in memory
+        J: np.ndarray = np.moveaxis(np.empty((2, 3, *x.shape)), (0, 1), (-2, -1))
         J[..., 0, 0], J[..., 0, 1] = xx / depth, cross / depth
         J[..., 1, 0], J[..., 1, 1] = J[..., 0, 1], yy / depth
         J[..., 0, 2] = -(xx * x + cross * y) / depth
