@@ -65,8 +65,9 @@ def seven_point(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     """
     rows = (second[..., :, None] * first[..., None, :]).reshape(len(first), 7, 9)
-    basis = np.linalg.svd(rows, full_matrices=True)[2][:, 7:].reshape(-1, 2, 3, 3)
-    A, B = basis[:, 0], basis[:, 1]
+    # what is across all rows: a third of the time of singular values
+    across = np.linalg.qr(np.swapaxes(rows, 1, 2), mode='complete')[0][:, :, 7:]
+    A, B = np.moveaxis(across, 2, 0).reshape(2, -1, 3, 3)
     # det(A + x B) from its values at four places
     x = np.array([0.0, 1.0, -1.0, 2.0])
     values = np.linalg.det(A[:, None] + x[:, None, None] * B[:, None])

@@ -25,8 +25,9 @@ import numpy as np
 
 from selfcal_ros.geometry.rotation import rotation_matrix
 
-#: Matches of a sample, samples that are drawn, steps for each.
-SAMPLE, SAMPLES, STEPS = 5, 60, 7
+#: Matches of a sample, samples that are drawn, steps for each at most, and steps (radians) after
+#: which nothing moves any more.
+SAMPLE, SAMPLES, STEPS, STANDS_STILL = 5, 60, 7, 1e-10
 #: A sample may not turn further than this from one view to the next (radians): a body that is
 #: followed does not.
 MAX_TURN = 0.8
@@ -52,9 +53,9 @@ def epipolar_angles(R: np.ndarray, t: np.ndarray, a: np.ndarray, b: np.ndarray) 
 
     """
     E = _cross(t) @ R
-    Ea, Eb = np.einsum('sij,mj->smi', E, a), np.einsum('sji,mj->smi', E, b)
-    value = np.einsum('smi,mi->sm', Ea, b)
-    square = np.sum(Ea**2, axis=2) + np.sum(Eb**2, axis=2) - 2 * value**2
+    Ea, Eb = E @ a.T, np.swapaxes(E, 1, 2) @ b.T
+    value = (Ea * b.T).sum(axis=1)
+    square = (Ea * Ea).sum(axis=1) + (Eb * Eb).sum(axis=1) - 2 * value**2
     angles: np.ndarray = value / np.sqrt(np.maximum(square, 1e-18))
     return angles
 
@@ -108,35 +109,43 @@ def relative_motion(a: np.ndarray, b: np.ndarray, limit: float, rng: np.random.G
 def _steps(R: np.ndarray, t: np.ndarray, a: np.ndarray, b: np.ndarray, weight: np.ndarray,
            ) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Newton on turns (S, 3, 3) and directions (S, 3) for rays (S, M, 3)."""
+    # each component of all rays in a row: (S, 3, M)
+    a, b = (np.ascontiguousarray(np.swapaxes(rays, 1, 2)) for rays in (a, b))
+    J, normal = np.empty((len(a), 5, a.shape[2])), np.empty(a.shape)
     for _ in range(STEPS):
-        p = np.einsum('sij,smj->smi', R, a)
-        by_turn = (b * np.einsum('si,smi->sm', t, p)[..., None]
-                   - np.sum(b * p, axis=2)[..., None] * t[:, None])
-        normal = np.cross(p, b)
+        p = R @ a
+        along, inner = (t[:, None] @ p)[:, 0], (b * p).sum(axis=1)
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            J[:, k] = b[:, k] * along - inner * t[:, k, None]
+            normal[:, k] = p[:, i] * b[:, j] - p[:, j] * b[:, i]
         # two directions across t
-        other = np.eye(3)[np.argmin(np.abs(t), axis=1)]
-        u = np.cross(t, other)
+        turn, other = _cross(t), np.eye(3)[np.argmin(np.abs(t), axis=1)]
+        u = turn @ other[:, :, None]
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-        basis = np.stack([u, np.cross(t, u)], axis=2)
-        J = np.concatenate([by_turn, normal @ basis], axis=2) * weight[..., None]
-        r = np.einsum('smi,si->sm', normal, t) * weight
-        H = np.swapaxes(J, 1, 2) @ J
+        basis = np.concatenate([u, turn @ u], axis=2)
+        J[:, 3:] = np.swapaxes(basis, 1, 2) @ normal
+        J *= weight[:, None]
+        r = (t[:, None] @ normal)[:, 0] * weight
+        H = J @ np.swapaxes(J, 1, 2)
         H += (1e-6 * np.einsum('sii->s', H)[:, None, None] / 5 + 1e-18) * np.eye(5)
-        step = -np.linalg.solve(H, np.einsum('smi,sm->si', J, r)[..., None])[..., 0]
+        step = -np.linalg.solve(H, J @ r[:, :, None])[..., 0]
         # no leaps: the start is a guess
         length = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1, 0.5 / np.maximum(length, 1e-12))
         R = rotation_matrix(step[:, :3]) @ R
         t = t + np.einsum('sij,sj->si', basis, step[:, 3:])
         t /= np.linalg.norm(t, axis=1, keepdims=True)
+        if (length < STANDS_STILL).all():
+            break
     return R, t
 
 
 def _spread(R: np.ndarray, t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Variance of the triple product over that of a ray's angle, shape (S, M)."""
     E = _cross(t) @ R
-    Ea, Eb = np.einsum('sij,mj->smi', E, a), np.einsum('sji,mj->smi', E, b)
-    spread: np.ndarray = np.sum(Ea**2, axis=2) + np.sum(Eb**2, axis=2)
+    Ea, Eb = E @ a.T, np.swapaxes(E, 1, 2) @ b.T
+    spread: np.ndarray = (Ea * Ea).sum(axis=1) + (Eb * Eb).sum(axis=1)
     return spread
 
 

@@ -141,22 +141,25 @@ def completed_rotations(blocks: PointBlocks, rays: np.ndarray, rotations: np.nda
     """
     rotations = rotations.copy()
     known = np.isfinite(rotations[:, 0, 0])
-    while not known.all():
-        of_known = known[blocks.view]
-        turned = np.einsum('nji,nj->ni', rotations[blocks.view[of_known]], rays[of_known])
-        total = np.stack([np.bincount(blocks.point[of_known], column, blocks.point_count)
-                          for column in turned.T], axis=1)
-        length = np.linalg.norm(total, axis=1)
-        shared = ~of_known & (length[blocks.point] > 0)
+    total, length = np.zeros((blocks.point_count, 3)), np.zeros(blocks.point_count)
+    rows = np.flatnonzero(known[blocks.view])
+    while True:
+        # what the views see that have just become known
+        np.add.at(total, blocks.point[rows], np.einsum(
+            'nji,nj->ni', rotations[blocks.view[rows]], rays[rows]))
+        length[blocks.point[rows]] = np.linalg.norm(total[blocks.point[rows]], axis=1)
+        if known.all():
+            return rotations
+        shared = ~known[blocks.view] & (length[blocks.point] > 0)
         counts = np.bincount(blocks.view[shared], minlength=len(known))
         view = int(np.argmax(counts))
         if counts[view] < _LEAST_SHARED:
             return None
-        rows = np.flatnonzero(shared & (blocks.view == view))
-        point = blocks.point[rows]
-        rotations[view] = _turned_onto(total[point] / length[point, None], rays[rows])
+        rows = np.flatnonzero(blocks.view == view)
+        of_known = rows[shared[rows]]
+        point = blocks.point[of_known]
+        rotations[view] = _turned_onto(total[point] / length[point, None], rays[of_known])
         known[view] = True
-    return rotations
 
 
 def _turned_onto(world: np.ndarray, rays: np.ndarray) -> np.ndarray:
