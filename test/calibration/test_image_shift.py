@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.zoom_selection import undisturbed
 from selfcal_ros.synthetic.rolling_scenes import drive, hand, record
 from selfcal_ros.synthetic.scenes import sequence_si
 
@@ -139,3 +140,34 @@ def _state_of(result, moved):
     return SceneState(Lens.of(result.camera),
                       AxisPath.of_poses(np.eye(3), result.reconstruction.cam_from_world),
                       shift=moved)
+
+
+def zooming(kind, seed, sigma_px, growth, **world):
+    """Views of a lens that zooms, each shifted by itself: tracks, and the camera in the middle."""
+    tracks, camera, moved = shifted(kind, seed, sigma_px, **world)
+    centre, scale = camera.K[:2, 2], 1 + growth * np.linspace(-0.5, 0.5, VIEWS)
+    shift = moved[tracks.frame]
+    still = tracks.xy - shift
+    zoomed = centre + (still - centre) * scale[tracks.frame, None]
+    return replace(tracks, xy=zoomed + shift), camera
+
+
+def test_the_lens_of_shifted_images_may_zoom():
+    # they were taken for rows read in turn, with a sigma four times as large
+    tracks, camera = zooming(drive, 1, 2.0, 0.04, points=150)
+    result = calibrate(tracks, facts=SQUARE)
+
+    assert_true(result, camera, 0.006)
+    assert result.sigma['fx'] < 0.001 * camera.K[0, 0]
+    assert {'images_shifted', 'focal_drifts'} <= set(kinds(result))
+    assert result.focal.fx[-1] / result.focal.fx[0] == pytest.approx(1.02 / 0.98, rel=0.005)
+
+
+def test_a_fit_without_shifts_and_rows_begins_without_them():
+    # they were held where another fit had them, as if they were known: 12 sigmas over the image
+    camera = sequence_si(np.random.default_rng(0)).camera
+    path = AxisPath.at_origin(np.eye(3), np.zeros(2))
+    state = SceneState(Lens.of(camera), path, line_delay=0.1, row_motion=np.ones((2, 6)),
+                       shift=np.ones((2, 2)))
+    bare = undisturbed(state)
+    assert (bare.line_delay, bare.row_motion, bare.shift) == (0.0, None, None)

@@ -73,11 +73,11 @@ def with_image_shifts(first: RobustFit, fit: RobustFit, observations: Observatio
     Returns
     -------
     RobustFit or None
-        None where images are not shifted, or zoom.
+        None where images are not shifted.
 
     """
-    motion, instants = fit.motion, problem.instants
-    if motion.zoom is not None or motion.shift is not None or not instants:
+    instants = problem.instants
+    if fit.motion.shift is not None or not instants:
         return None
     sigma_px, gain = shift_evidence(fit, problem.size)
     if gain <= LEAST_GAIN:

@@ -55,8 +55,8 @@ from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
 from selfcal_ros.calibration.estimators.turning_stretch import turned_about
 from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
-                                                               nearer, settle_zoom, zoomed_fit,
-                                                               zooming)
+                                                               nearer, settle_zoom,
+                                                               undisturbed, zoomed_fit, zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start
 from selfcal_ros.calibration.initialisation.problem import (ROUND_WINDOWS,
                                                             SelfCalibrationProblem,
@@ -216,7 +216,7 @@ class OneMotion:
         start, noise_px = started
         near = self._near_window
         if near is not None and not noise_px < EXPLAINED * problem.noise_px:
-            start, noise_px = near.state, near.bundle.sigma_px
+            start, noise_px = undisturbed(near.state), near.bundle.sigma_px
         as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
         if start is None or not np.isfinite(noise_px):
             return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)

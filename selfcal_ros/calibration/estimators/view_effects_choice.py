@@ -89,7 +89,7 @@ def evidence_of_views(fit: RobustFit, size: tuple[int, int], effect: Supposition
 def left_otherwise_px(fit: RobustFit, instants: tuple[float, ...], gain: float) -> float:
     """Return the noise that is left without an effect, with a zoom if that gains more."""
     left_px = fit.bundle.sigma_px
-    evidence = focal_evidence(fit, instants, 1.0)
+    evidence = None if fit.motion.zoom is not None else focal_evidence(fit, instants, 1.0)
     if evidence is None or evidence.gain < gain:
         return left_px
     zoomed = zoomed_fit(fit, instants)

@@ -115,8 +115,17 @@ def _is_zoom(found: FocalEvidence, fit: RobustFit, variance_inflation: float) ->
 
 
 def near_state(near: RobustFit, observations: Observations) -> SceneState | None:
-    """Return the state of a fit, with the points of all observations."""
-    return with_all_points(replace(near.state, line_delay=0.0), observations)
+    """Return the state of a fit as if nothing but the camera had moved; with all points."""
+    return with_all_points(undisturbed(near.state), observations)
+
+
+def undisturbed(state: SceneState) -> SceneState:
+    """
+    Return a state without what rows and shifts do to single images.
+
+    A fit that has not these unknowns would hold them where they are, as if they were known.
+    """
+    return replace(state, line_delay=0.0, row_motion=None, shift=None)
 
 
 def nearer(one: RobustFit, other: RobustFit, observations: Observations) -> RobustFit:
