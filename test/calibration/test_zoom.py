@@ -266,6 +266,20 @@ def test_a_true_zoom_is_kept_among_gross_errors():
     assert (np.abs(few.focal.fx - fx) < 4 * few.focal.sigma).all()
 
 
+def test_a_steady_growth_may_be_steady_in_another_measure():
+    # as much in every view, not by the same factor: cx was 8.5 sigmas off
+    rng = np.random.default_rng([0, 16])
+    scale = np.linspace(0.95, 1.1, VIEWS)
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=50), scale, rng)
+    result = calibrate(sequence.tracks, motion='planar', facts=FACTS)
+    assert result.focal.is_steady
+    assert abs(result.camera.K[0, 2] - sequence.camera.K[0, 2]) < 3 * result.sigma['cx']
+    fx = sequence.camera.K[0, 0] * scale
+    assert (np.abs(result.focal.fx - fx) < 3 * result.focal.sigma).all()
+    # the bend is no more than the difference of the two
+    assert result.sigma['cx'] < 2 and (result.focal.sigma < 0.004 * fx).all()
+
+
 def test_a_true_zoom_among_many_gross_errors_is_refused():
     # more than a third
     rng = np.random.default_rng([3, 16])

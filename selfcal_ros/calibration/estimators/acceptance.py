@@ -246,7 +246,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         return refusal
     state, camera, path = found.state, found.state.camera(*problem.size), optimum.path
     course = focal_course(fit, state, graph.frames, found.covariance,
-                          found.variance_inflation)
+                          found.variance_inflation, found.growth)
     covariance, of_facts = verdict.widened(optimum.covariance, camera.parameter_names)
     # first, for all the rest rests on them
     findings = (of_facts + rectified_findings(camera, stated, of_facts) + shift_findings(fit)

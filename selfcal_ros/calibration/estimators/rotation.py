@@ -311,7 +311,7 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
     assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
     inner, variance_inflation = assessed.covariance, assessed.variance_inflation
     state, camera = assessed.state, assessed.state.camera(*size)
-    course = focal_course(fit, state, frames, inner, variance_inflation)
+    course = focal_course(fit, state, frames, inner, variance_inflation, assessed.growth)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     missing = unobservable_among(status, MATRIX_PARAMETERS)

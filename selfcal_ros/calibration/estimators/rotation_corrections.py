@@ -19,7 +19,8 @@ import numpy as np
 
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
-    allow_for_uneven_ground, apply_lens_posterior, AssessedEstimate, Chain)
+    allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior, AssessedEstimate,
+    Chain)
 from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 
 
@@ -43,8 +44,8 @@ def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
         return found.widened(choices)
 
     return Chain((allow_for_distortion_misfit, allow_for_segments, allow_for_choices,
-                  allow_for_uneven_ground, apply_lens_posterior, allow_for_hidden_decentring,
-                  allow_for_prism,
+                  allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior,
+                  allow_for_hidden_decentring, allow_for_prism,
                   *((_allow_for_lever,) if may_miss else ())))
 
 

@@ -33,7 +33,8 @@ from selfcal_ros.calibration.estimators.stated_lens import contradicted_lens
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
-    allow_for_uneven_ground, apply_lens_posterior, AssessedEstimate, Chain)
+    allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior, AssessedEstimate,
+    Chain)
 from selfcal_ros.calibration.uncertainty.points_ahead import points_ahead
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
@@ -64,7 +65,7 @@ def corrections(model: ModelDecision, problem: SelfCalibrationProblem) -> Chain:
         return _with_points_ahead(found, problem.motion.fixed_pivot)
 
     return Chain((allow_for_distortion_misfit, allow_for_segments, allow_for_choices,
-                  allow_for_uneven_ground, apply_lens_posterior,
+                  allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior,
                   *((count_points_ahead,) if problem.is_weak else ()),
                   allow_for_hidden_decentring, allow_for_prism))
 

@@ -40,6 +40,7 @@ from selfcal_ros.calibration.uncertainty.hidden_decentring import (
 from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, LensPosterior
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.uneven_ground import uneven_ground
+from selfcal_ros.calibration.uncertainty.uneven_growth import uneven_growth, UnevenGrowth
 from selfcal_ros.findings.finding import Finding
 
 
@@ -71,6 +72,8 @@ class AssessedEstimate:
         What a fisheye does that its model has no coefficients for.
     behind : float
         Share of the points that lie behind the cameras, where that is in doubt.
+    growth : UnevenGrowth or None
+        What is open of a focal length that grows steadily.
 
     """
 
@@ -85,6 +88,7 @@ class AssessedEstimate:
     misfit: DistortionMisfit | None = None
     hidden: HiddenDecentring | None = None
     behind: float = 0.0
+    growth: UnevenGrowth | None = None
 
     @classmethod
     def of(cls, fit: RobustFit, sizes: Sequence[int] | np.ndarray) -> AssessedEstimate:
@@ -139,6 +143,12 @@ def allow_for_uneven_ground(found: AssessedEstimate) -> AssessedEstimate:
     return found if more is None else found.widened(more)
 
 
+def allow_for_uneven_growth(found: AssessedEstimate) -> AssessedEstimate:
+    """Allow for a focal length that does not grow quite steadily."""
+    growth = uneven_growth(found.fit, found.variance_inflation)
+    return found if growth is None else replace(found, growth=growth).widened(growth.covariance)
+
+
 def apply_lens_posterior(found: AssessedEstimate) -> AssessedEstimate:
     """Weigh what lenses are like anew, now that the images' errors are known."""
     # beside a field all that is known was worth less by what tracks share
@@ -168,7 +178,7 @@ def allow_for_prism(found: AssessedEstimate) -> AssessedEstimate:
 #: sigmas are known.
 SHARED: tuple[Correction, ...] = (
     allow_for_distortion_misfit, allow_for_segments, allow_for_uneven_ground,
-    apply_lens_posterior, allow_for_hidden_decentring, allow_for_prism)
+    allow_for_uneven_growth, apply_lens_posterior, allow_for_hidden_decentring, allow_for_prism)
 
 
 @dataclass(frozen=True)

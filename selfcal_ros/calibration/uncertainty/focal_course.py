@@ -35,6 +35,7 @@ from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, Zoom
 from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.calibration.uncertainty.uneven_growth import UnevenGrowth
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.robust_loss import huber_loss
 
@@ -252,7 +253,8 @@ def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
 
 
 def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covariance: np.ndarray,
-                 variance_inflation: float) -> FocalCourse | None:
+                 variance_inflation: float, growth: UnevenGrowth | None = None,
+                 ) -> FocalCourse | None:
     """
     Return the focal length of every view, with its spread.
 
@@ -267,6 +269,8 @@ def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covarian
         Of the unknowns of the lens, with all that was added to it.
     variance_inflation : float
         Variance of the estimate over that with independent errors.
+    growth : UnevenGrowth, optional
+        What is open of steady growth.
 
     Returns
     -------
@@ -286,6 +290,8 @@ def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covarian
     else:
         rows[np.arange(len(zoom)), unknowns.of_views(VIEW_NAME)[:, 0]] = 1
     own = variance_inflation * np.einsum('vi,ij,vj->v', rows, fit.covariance, rows)
+    if growth is not None:
+        own = own + growth.of_views
     of_mean = covariance[0, 0] - variance_inflation * fit.lens_covariance[0, 0]
     spread = np.sqrt(own + max(of_mean, 0.0) / f**2)
     order = np.argsort(frames)
