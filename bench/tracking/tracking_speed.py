@@ -30,6 +30,7 @@ from bench.tracking.tracking_runs import cube_sequence, follow
 import cv2
 import numpy as np
 from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.rorapid.estimation.joint_search import together
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions
 from selfcal_ros.synthetic.objects import tracked_object
 from selfcal_ros.synthetic.several_objects import objects_beside
@@ -47,6 +48,7 @@ SEVERAL_IMAGES, MAX_THREE = 60, 2.2
 #: What a room or module of the tracker is for, in the table of parts.
 PARTS = {'edgels': 'edges along the normals', 'visibility': 'visible primitives',
          'projection': 'projection and derivatives',
+         'joint_fit': 'edges along the normals',
          'primitive_detection': 'robust parts', 'kalman_filter': 'Kalman filter',
          'view_memory': 'recovery', 'texture_memory': 'texture', 'robust_tracker': 'cycle',
          'rapid_tracker': 'cycle', 'control_points': 'cycle', 'tracker': 'cycle'}
@@ -114,7 +116,7 @@ def several(report: Report) -> None:
         worked = time.process_time()
         for image in images:
             began = time.perf_counter()
-            frames = [session.add(image) for session in sessions]
+            frames = together([session.finding(image) for session in sessions])
             walls.append(time.perf_counter() - began)
         worked = time.process_time() - worked
         if not all(frames):

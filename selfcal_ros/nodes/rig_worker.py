@@ -27,6 +27,7 @@ from selfcal_ros.nodes.tracking_worker import (
     DecodedImages, fault, InstantMessages, ObjectInImage, TrackingWorker)
 from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.report.overlay import draw_overlay
+from selfcal_ros.rorapid.estimation.joint_search import Searching
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 
 
@@ -66,9 +67,10 @@ class RigWorker(TrackingWorker):
             pictures.append(picture)
         return DecodedImages(tuple(pictures), stamp_ns(seen.header.stamp), ' '.join(problems))
 
-    def _look(self, session: RigSession,
-              pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
+    def _looking(self, session: RigSession, pictures: DecodedImages,
+                 ) -> Searching[tuple[TrackedFrame, dict[str, bool]]]:
         """Find one object; and which of the cameras see it."""
+        yield from ()
         found = session.look(pictures.grey, pictures.stamp_ns)
         return found.tracked, dict(zip(self._cameras, found.sees))
 

@@ -34,6 +34,7 @@ from selfcal_ros.errors import SelfcalError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.tracking_session import TrackingSession, TrackingSnapshot
 from selfcal_ros.report.overlay import draw_overlay
+from selfcal_ros.rorapid.estimation.joint_search import Searching, together
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from std_msgs.msg import Header
 
@@ -141,8 +142,8 @@ class TrackingWorker:
     Runs sessions in a thread of its own: commands in order, and always the newest image.
 
     The thread is a daemon: a process that is told to stop does not wait for it. Several objects
-    are followed one after the other, in the same image. Threads would make it slower: most of the
-    time is spent where Python lets one work at a time.
+    are followed in the same image, and their edges searched at once. Threads would make it slower:
+    most of the time is spent where Python lets one work at a time.
 
     Parameters
     ----------
@@ -266,8 +267,10 @@ class TrackingWorker:
         """Follow the objects of which an image is still wanted, (N,) bool, and draw them."""
         began = time.perf_counter()
         pictures = self._decoded(seen)
-        objects = tuple(self._found(session, pictures, began) if is_current else None
-                        for session, is_current in zip(self._sessions, current))
+        chosen = np.flatnonzero(current).tolist()
+        found = dict(zip(chosen, together([
+            self._finding(self._sessions[k], pictures, began) for k in chosen])))
+        objects = tuple(found.get(k) for k in range(len(self._sessions)))
         overlays = tuple(self._overlay(which, pictures, objects, seen) if wanted else None
                          for which, wanted in enumerate(seen.drawn))
         return TrackedImage(seen.header, objects, overlays)
@@ -288,13 +291,14 @@ class TrackingWorker:
             problem = fault(error)
         return DecodedImages((grey,), stamp, problem, bgr, seen.depth)
 
-    def _found(self, session: Any, pictures: DecodedImages, began: float) -> ObjectInImage:
+    def _finding(self, session: Any, pictures: DecodedImages, began: float,
+                 ) -> Searching[ObjectInImage]:
         """Find one object, or say why not; `began` is when the images were taken up, seconds."""
         sees: dict[str, bool] = {}
         tracked, problem = None, pictures.problem
         if any(picture is not None for picture in pictures.grey):
             try:
-                tracked, sees = self._look(session, pictures)
+                tracked, sees = yield from self._looking(session, pictures)
             except SelfcalError as error:
                 problem = str(error)
             except Exception as error:  # as above
@@ -303,12 +307,13 @@ class TrackingWorker:
         return ObjectInImage(tracked, session.camera, problem, time.perf_counter() - began,
                              session.snapshot(), sees)
 
-    def _look(self, session: Any,
-              pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
+    def _looking(self, session: Any, pictures: DecodedImages,
+                 ) -> Searching[tuple[TrackedFrame, dict[str, bool]]]:
         """Find one object; and which of several cameras see it."""
         grey, = pictures.grey
         image = pictures.bgr if session.wants_colour and pictures.bgr is not None else grey
-        return session.add(image, pictures.stamp_ns, pictures.depth), {}
+        tracked = yield from session.finding(image, pictures.stamp_ns, pictures.depth)
+        return tracked, {}
 
     def _overlay(self, which: int, pictures: DecodedImages,
                  objects: Sequence[ObjectInImage | None], seen: InstantMessages) -> Message | None:

@@ -24,6 +24,7 @@ from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.tracking_session import check_image, check_in_image, TrackingSession
+from selfcal_ros.rorapid.estimation.joint_search import Searching
 from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.several_cameras.rig_tracker import check_rig_options, RigTracker
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
@@ -129,8 +130,9 @@ class RigSession(TrackingSession):
                 problems.append(error)
         raise problems[0]
 
-    def look_at(self, instant: Instant) -> RigFrame:
+    def looking_at(self, instant: Instant) -> Searching[RigFrame]:
         """Find the object at an instant of several recordings; see `look`."""
+        yield from ()
         return self.look([None if frame is None else frame.image for frame in instant.frames],
                          instant.stamp_ns)
 

@@ -29,6 +29,7 @@ from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.rorapid.estimation.joint_search import together
 from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -98,18 +99,18 @@ def follow_through(instants: Iterable[Instant], sessions: Sequence[TrackingSessi
     """
     listeners = tuple(listeners)
     for instant in instants:
-        found = []
+        began = time.perf_counter()
         try:
-            for run, session in zip(runs, sessions):
-                began = time.perf_counter()
-                found.append(session.look_at(instant))
-                run.seconds += time.perf_counter() - began
+            found = together([session.looking_at(instant) for session in sessions])
         except InputError as error:
             # what one of them cannot use is of no use to any
             name = instant.first.name or f'{word} {instant.index}'
             note(runs, f'{name} was passed over: {error}')
             continue
+        took = time.perf_counter() - began
         for run, now in zip(runs, found):
+            # of an image with several objects each has its share
+            run.seconds += took / len(runs)
             run.count(instant.index, now.tracked, now.sees)
             _LOGGER.debug('%s %d: %s %s', word, instant.index, now.tracked.state.value,
                           now.tracked.reason)

@@ -31,6 +31,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
+from selfcal_ros.rorapid.estimation.joint_search import alone, Searching
 from selfcal_ros.rorapid.several_cameras.rig_tracker import RigTracker
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
@@ -258,6 +259,22 @@ class TrackingSession:
             camera's, or it is older than the one before.
 
         """
+        return alone(self.finding(image, stamp_ns, depth))
+
+    def finding(self, image: np.ndarray, stamp_ns: int | None = None,
+                depth: np.ndarray | None = None) -> Searching[TrackedFrame]:
+        """
+        Find the object in the next image beside others; see `add`.
+
+        What is wrong with the input is raised at once, and nothing has changed then. The object
+        is found by `together`, which searches the edges of several at once.
+
+        Returns
+        -------
+        Searching
+            It comes to a TrackedFrame.
+
+        """
         if self._tracker is None or self._camera is None:
             raise InputError('There is no calibration of the camera yet; the tracker needs one.')
         if self._start is None and not self._seeking:
@@ -268,15 +285,20 @@ class TrackingSession:
             raise InputError(f'The depth image is {depth.shape[1]}x{depth.shape[0]}, the image '
                              f'{image.shape[1]}x{image.shape[0]} pixels; give depths that are '
                              'registered to it.')
-        frame: TrackedFrame = self._tracker.track(image, stamp_ns, depth)
+        return self._finding(image, stamp_ns, depth)
+
+    def _finding(self, image: np.ndarray, stamp_ns: int | None, depth: np.ndarray | None,
+                 ) -> Searching[TrackedFrame]:
+        frame: TrackedFrame = yield from self._tracker.tracking(image, stamp_ns, depth)
         self._count(frame)
         return frame
 
-    def look_at(self, instant: Instant) -> RigFrame:
-        """Find the object at an instant of a recording; see `add`."""
+    def looking_at(self, instant: Instant) -> Searching[RigFrame]:
+        """Find the object at an instant of a recording; see `finding`."""
         frame = instant.first
         bgr = frame.bgr if self.wants_colour else None
-        tracked = self.add(frame.image if bgr is None else bgr, instant.stamp_ns, instant.depth)
+        tracked = yield from self.finding(frame.image if bgr is None else bgr, instant.stamp_ns,
+                                          instant.depth)
         return RigFrame(tracked, (tracked,), (bool(tracked),))
 
     def _count(self, frame: TrackedFrame) -> None:

@@ -26,6 +26,7 @@ from selfcal_ros.rorapid.estimation.corner_alignment import has_corners
 from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
+from selfcal_ros.rorapid.estimation.joint_search import alone, Searching
 from selfcal_ros.rorapid.estimation.jump import JumpWatch
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
 from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
@@ -253,8 +254,13 @@ class RorapidTracker:
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None,
               depth: np.ndarray | None = None) -> TrackedFrame:
+        """Find the object in the next image: `tracking`, by itself."""
+        return alone(self.tracking(image, stamp_ns, depth))
+
+    def tracking(self, image: np.ndarray, stamp_ns: int | None = None,
+                 depth: np.ndarray | None = None) -> Searching[TrackedFrame]:
         """
-        Find the object in the next image.
+        Find the object in the next image, beside others in the same one.
 
         Parameters
         ----------
@@ -264,6 +270,11 @@ class RorapidTracker:
             Time of the image; without it images come at `frame_rate_hz`.
         depth : ndarray, shape (H, W), optional
             Metres along the optical axis, of the same pixels; 0 or NaN where there is none.
+
+        Yields
+        ------
+        SearchTask
+            To be sent its `SearchedEdges`; see `estimation.joint_search.together`.
 
         Returns
         -------
@@ -294,8 +305,11 @@ class RorapidTracker:
             # in which grey an outline stands out
             self._colour.learn(picture, mask)
         image = self._colour.grey(picture)
-        look = self._method.initialise if fresh else self._method.measure
-        measured = look(image, kalman.state, kalman.pose_covariance)
+        if fresh:
+            measured = self._method.initialise(image, kalman.state, kalman.pose_covariance)
+        else:
+            measured = yield from self._method.measuring(image, kalman.state,
+                                                         kalman.pose_covariance)
         if starting is None:
             measured = self._sought(image, measured)
             starting = self._unconfirmed

@@ -73,7 +73,8 @@ def test_each_of_three_is_followed_as_if_it_were_alone(folder):
     for k, one in enumerate(made):
         for view in range(VIEWS):
             frame = together[view][k]
-            assert np.array_equal(frame.rotation, alone[k * VIEWS + view].rotation)
+            # the sums of several are taken in another order
+            assert np.allclose(frame.rotation, alone[k * VIEWS + view].rotation, 0, 1e-8)
             angle, share = pose_errors(frame.rotation, frame.translation, one.rotations[view],
                                        one.translations[view])
             assert np.rad2deg(angle) < 0.8 and share < 0.01

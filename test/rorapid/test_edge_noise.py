@@ -19,7 +19,8 @@ import pytest
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_noise import (
-    _AROUND_PX, _SECTOR_PX, _SECTORS, CommonScatter, EdgeNoise, shared_by_outline, sums_of)
+    _AROUND_PX, _SECTOR_PX, _SECTORS, CommonScatter, EdgeNoise, shared_by_outline,
+    sums_together)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
@@ -60,7 +61,8 @@ def scatter_of(common, rng, images=300, lines=10, each=6):
         q = np.linalg.solve(H, rows.T @ residual)
         errors.append(q)
         # a limit that nothing reaches: the cost is as curved as the weights say
-        sums = sums_of(primitive, rows, weight, np.zeros(len(rows)), residual - rows @ q, H)
+        sums, = sums_together(primitive, rows, weight, np.zeros(len(rows)), residual - rows @ q,
+                              [len(rows)], H[None])
         scatter.learn(sums)
         factors.append(scatter.factor(sums))
     return np.mean(factors[30:]), np.mean(np.einsum('ni,ij,nj->n', errors, H, errors)) / 2
@@ -80,8 +82,8 @@ def test_edges_that_are_left_out_make_the_cost_less_curved():
     H = rows.T @ rows
     for scatter, how_far in ((plain, np.zeros(40)), (cut, off)):
         for _ in range(50):
-            scatter.learn(sums_of(np.arange(40) // 4, rows, np.ones(40), how_far,
-                                  0.5 * np.ones(40), H))
+            scatter.learn(sums_together(np.arange(40) // 4, rows, np.ones(40), how_far,
+                                        0.5 * np.ones(40), [40], H[None])[0])
     assert cut.factor(np.zeros(4)) > 1.5 * plain.factor(np.zeros(4))
 
 

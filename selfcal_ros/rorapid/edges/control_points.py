@@ -15,16 +15,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
+from selfcal_ros.rorapid.projection.camera_models import (
+    ObjectPose, project_together, ProjectedPoints, Projection)
 from selfcal_ros.rorapid.projection.free_directions import apart_from, free_at
 from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 
 #: Control points must be so far inside the image to be searched, pixels.
 _BORDER_PX = 3.0
+
+
+@dataclass(frozen=True)
+class ShownPoints:
+    """
+    Attributes of the control points that are shown, the same in all states nearby.
+
+    Attributes
+    ----------
+    primitive, ids : ndarray of int, shape (C,)
+        Of the model; the same in all views.
+    beside : ndarray, shape (3, C, 3) or (4, C, 3)
+        Object frame, centred: the points; a little farther along their primitives; a little into
+        the object from its outline; and, where curves are, a little towards their middle.
+    inner : ndarray of bool, shape (C,)
+        Where no background is beside.
+    end : ndarray, shape (C,)
+        Distance from the end of the line in such little steps; infinite where there is no end.
+    bend : ndarray, shape (C,), or None
+        Curvature in the object's frame for such a step; None where nothing is curved.
+
+    """
+
+    primitive: np.ndarray
+    ids: np.ndarray
+    beside: np.ndarray
+    inner: np.ndarray
+    end: np.ndarray
+    bend: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -34,15 +65,10 @@ class ControlView:
 
     Attributes
     ----------
-    points : ndarray, shape (C, 3)
-        Object frame, centred.
-    tangents : ndarray, shape (C, 3)
-    primitive, ids : ndarray of int, shape (C,)
-        Of the model; the same in all views.
+    shown : ShownPoints
+        Which they are.
     searched : ndarray of bool, shape (C,)
         Neither hidden by the object itself nor outside of the image.
-    inward : ndarray, shape (C, 3)
-        Into the object from its outline, object frame; zero where no background is beside.
     inside : ndarray, shape (C,)
         1 where the object lies on the normal's side of its outline, -1 on the other; else 0.
     projected : ProjectedPoints
@@ -60,12 +86,8 @@ class ControlView:
 
     """
 
-    points: np.ndarray
-    tangents: np.ndarray
-    primitive: np.ndarray
-    ids: np.ndarray
+    shown: ShownPoints
     searched: np.ndarray
-    inward: np.ndarray
     inside: np.ndarray
     projected: ProjectedPoints
     normal: np.ndarray
@@ -73,6 +95,16 @@ class ControlView:
     curvature: np.ndarray
     outline: int
     limb: int
+
+    @property
+    def primitive(self) -> np.ndarray:
+        """Primitive of each control point, (C,)."""
+        return self.shown.primitive
+
+    @property
+    def ids(self) -> np.ndarray:
+        """Number of each control point, (C,), the same in all views."""
+        return self.shown.ids
 
     @property
     def contour(self) -> np.ndarray:
@@ -128,13 +160,22 @@ class ControlModel:
 
     def view(self, state: ObjectPose) -> ControlView:
         """Return the control points that a state shows."""
+        return views_together([self], [state])[0]
+
+    def shown(self, state: ObjectPose) -> tuple[ShownPoints, np.ndarray]:
+        """Return the control points that a state shows, and which are not hidden, (C,) bool."""
         # hidden parts are those of the full perspective view, whatever the camera model
         seen = self.visible_model.control_points(
             state.rotation, state.translation - state.rotation @ self.centre,
             state.zoom * float(self.projection.camera.K[0, 0]))
         points = seen.object_points - self.centre
-        return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
-                           seen.inward, state)
+        parts = [points, points + self._step * seen.tangents, points + self._step * seen.inward]
+        bend = None
+        if self._curved:
+            bend = self._step * self._bend[seen.ids]
+            parts.append(points + self._towards[seen.ids])
+        return ShownPoints(seen.primitive, seen.ids, np.array(parts), ~seen.contour,
+                           self._end[seen.ids], bend), seen.visible
 
     def mask(self, state: ObjectPose, shape: tuple[int, ...]) -> np.ndarray | None:
         """Mask (rows, columns) of a curved surface in a state, 255 on it; None of plane faces."""
@@ -159,39 +200,75 @@ class ControlModel:
 
     def again(self, view: ControlView, state: ObjectPose) -> ControlView:
         """Return the same control points in a state nearby."""
-        return self._place(view.points, view.tangents, view.primitive, view.ids, view.searched,
-                           view.inward, state)
+        return placed_together([self], [view.shown], [view.searched], [state])[0]
 
-    def _place(self, points: np.ndarray, tangents: np.ndarray, primitive: np.ndarray,
-               ids: np.ndarray, visible: np.ndarray, inward: np.ndarray, state: ObjectPose,
-               ) -> ControlView:
-        n = len(points)
-        parts = [points, points + self._step * tangents, points + self._step * inward]
-        curved = np.flatnonzero(self._bend[ids]) if self._curved else ()
-        if len(curved):
-            parts.append(points[curved] + self._towards[ids[curved]])
-        both = self.projection.project(state, np.concatenate(parts))
-        along = both.pixels[n:2 * n] - both.pixels[:n]
-        length = np.sqrt(along[:, 0]**2 + along[:, 1]**2)
-        normal = np.empty((n, 2))
-        with np.errstate(divide='ignore', invalid='ignore'):
-            normal[:, 0], normal[:, 1] = -along[:, 1] / length, along[:, 0] / length
-        pixels = both.pixels[:n]
-        width, height = self.image_size
-        x, y = pixels[:, 0], pixels[:, 1]
-        searched = (visible & (x > _BORDER_PX) & (y > _BORDER_PX) & (x < width - 1 - _BORDER_PX)
-                    & (y < height - 1 - _BORDER_PX) & (length > 1e-3))
-        normal[~(length > 1e-12)] = 0
-        projected = ProjectedPoints(pixels, both.xy[:n], both.turned[:n],
-                                    both.inverse_depth[:n])
-        inside = np.sign(((both.pixels[2 * n:3 * n] - pixels) * normal).sum(axis=1))
-        inside[~inward.any(axis=1)] = 0
-        curvature = np.zeros(n)
-        if len(curved):
-            bend = both.pixels[3 * n:] - pixels[curved]
-            curvature[curved] = (np.einsum('ci,ci->c', bend, normal[curved]) * self._step
-                                 * self._bend[ids[curved]]
-                                 / np.maximum(length[curved], 1e-12)**2)
-        return ControlView(points, tangents, primitive, ids, searched, inward, inside, projected,
-                           normal, self._end[ids] * length, curvature,
-                           self.visible_model.outline, self.visible_model.limb)
+
+def views_together(controls: Sequence[ControlModel], states: Sequence[ObjectPose],
+                   ) -> list[ControlView]:
+    """Return the control points that states show, of objects in images of one size."""
+    seen = [control.shown(state) for control, state in zip(controls, states)]
+    return placed_together(controls, [shown for shown, _ in seen], [at for _, at in seen],
+                           states) if seen else []
+
+
+def placed_together(controls: Sequence[ControlModel], shown: Sequence[ShownPoints],
+                    visible: Sequence[np.ndarray], states: Sequence[ObjectPose],
+                    ) -> list[ControlView]:
+    """
+    Place control points in states, of one object or of several at once.
+
+    What takes the time is the number of calls, not that of points.
+
+    Parameters
+    ----------
+    controls : sequence of ControlModel
+        For images of one size.
+    shown : sequence of ShownPoints
+    visible : sequence of ndarray of bool, shape (C,)
+        Those of them that may be searched.
+    states : sequence of ObjectPose
+
+    Returns
+    -------
+    list of ControlView
+
+    """
+    curved = any(one.bend is not None for one in shown)
+    both = project_together([control.projection for control in controls], states, [
+        one.beside if len(one.beside) == (4 if curved else 3) else
+        np.concatenate([one.beside, one.beside[:1]]) for one in shown])
+    pixels = both.pixels[0]
+    along = both.pixels[1] - pixels
+    length = np.sqrt(along[:, 0]**2 + along[:, 1]**2)
+    normal = np.empty(pixels.shape)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        normal[:, 0], normal[:, 1] = -along[:, 1] / length, along[:, 0] / length
+    width, height = controls[0].image_size
+    x, y = pixels[:, 0], pixels[:, 1]
+    searched = (joined(visible) & (x > _BORDER_PX) & (y > _BORDER_PX)
+                & (x < width - 1 - _BORDER_PX) & (y < height - 1 - _BORDER_PX) & (length > 1e-3))
+    normal[~(length > 1e-12)] = 0
+    inside = np.sign(((both.pixels[2] - pixels) * normal).sum(axis=1))
+    inside[joined([one.inner for one in shown])] = 0
+    curvature = np.zeros(len(pixels))
+    if curved:
+        bend = joined([np.zeros(len(one.ids)) if one.bend is None else one.bend for one in shown])
+        curvature = (((both.pixels[3] - pixels) * normal).sum(axis=1) * bend
+                     / np.maximum(length, 1e-12)**2)
+    end_px = joined([one.end for one in shown]) * length
+    views, first = [], 0
+    for control, one in zip(controls, shown):
+        own = slice(first, first + len(one.ids))
+        first = own.stop
+        views.append(ControlView(
+            one, searched[own], inside[own],
+            ProjectedPoints(pixels[own], both.xy[0, own], both.turned[0, own],
+                            both.inverse_depth[0, own]),
+            normal[own], end_px[own], curvature[own], control.visible_model.outline,
+            control.visible_model.limb))
+    return views
+
+
+def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Put arrays one after the other; a single one is returned as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 #: Memory of what was learned, per image.
@@ -57,12 +59,12 @@ class EdgeNoise:
     def forget(self) -> None:
         """Forget what was learned."""
         place, grey = _USUAL_NOISE
-        self._variance = np.array([place**2, grey**2])
+        self.variance = np.array([place**2, grey**2])
         # weighted sums of (1, z)(1, z)' and (1, z) r², z = 1 / contrast²
         z = 1 / _USUAL_CONTRAST**2
         design = np.array([[1.0, z], [z, 3 * z * z]])
-        weight = _USUAL_COUNT / (self._variance @ [1, z])**2
-        self._normal, self._right = weight * design, weight * design @ self._variance
+        weight = _USUAL_COUNT / (self.variance @ [1, z])**2
+        self._normal, self._right = weight * design, weight * design @ self.variance
 
     def sigma(self, contrast: np.ndarray, end_px: np.ndarray) -> np.ndarray:
         """
@@ -80,8 +82,8 @@ class EdgeNoise:
             Pixels.
 
         """
-        variance = self._variance[0] + self._variance[1] / np.maximum(contrast * contrast, 1.0)
-        sigma_px: np.ndarray = np.sqrt(variance * _end_factor(end_px))
+        variance = self.variance[0] + self.variance[1] / np.maximum(contrast * contrast, 1.0)
+        sigma_px: np.ndarray = np.sqrt(variance * end_factor(end_px))
         return sigma_px
 
     def learn(self, contrast: np.ndarray, end_px: np.ndarray, residual: np.ndarray) -> None:
@@ -89,8 +91,8 @@ class EdgeNoise:
         if not len(residual):
             return
         z = np.stack([np.ones(len(contrast)), 1 / np.maximum(contrast * contrast, 1.0)])
-        square = residual**2 / _end_factor(end_px)
-        weight = 1 / (self._variance @ z)**2
+        square = residual**2 / end_factor(end_px)
+        weight = 1 / (self.variance @ z)**2
         self._normal = _MEMORY * self._normal + (z * weight) @ z.T
         self._right = _MEMORY * self._right + z @ (weight * square)
         (p, q), (_, r) = self._normal
@@ -102,10 +104,11 @@ class EdgeNoise:
             place, grey = least, (self._right[1] - q * least) / r
         if grey < 0:
             place, grey = max(self._right[0] / p, least), 0.0
-        self._variance = np.array([place, grey])
+        self.variance = np.array([place, grey])
 
 
-def _end_factor(end_px: np.ndarray) -> np.ndarray:
+def end_factor(end_px: np.ndarray) -> np.ndarray:
+    """Factor of the variance of edgels so near the end of their line (C,), pixels."""
     factor: np.ndarray = 1 + (_END_PX / np.maximum(end_px, 1.0))**2
     return factor
 
@@ -133,7 +136,7 @@ class CommonScatter:
         self._sums = np.full(4, _PRIOR_FREEDOM)
 
     def factor(self, sums: np.ndarray) -> float:
-        """By how much the variance of a pose grows, from what its image shows (`sums_of`)."""
+        """By how much the variance of a pose grows: its image shows `sums_together`."""
         square, freedom, curvature, weight = self._sums
         scatter = (sums[0] + _BEFORE_FREEDOM * square / freedom) / (sums[1] + _BEFORE_FREEDOM)
         bend = max(curvature / weight, _MIN_CURVATURE)
@@ -144,46 +147,69 @@ class CommonScatter:
         self._sums = _MEMORY * self._sums + sums + (1 - _MEMORY) * _PRIOR_FREEDOM
 
 
-def sums_of(primitive: np.ndarray, rows: np.ndarray, weight: np.ndarray, off: np.ndarray,
-            residual: np.ndarray, information: np.ndarray) -> np.ndarray:
+def sums_together(primitive: np.ndarray, rows: np.ndarray, weight: np.ndarray, off: np.ndarray,
+                  residual: np.ndarray, counts: Sequence[int], information: np.ndarray,
+                  ) -> np.ndarray:
     """
     Sums of `CommonScatter` over the lines of one image.
 
     Parameters
     ----------
     primitive : ndarray of int, shape (C,)
-        Ascending.
+        Ascending; of J objects, one after the other.
     rows : ndarray, shape (C, m)
     weight : ndarray, shape (C,)
         Tukey's, over the variance.
     off : ndarray, shape (C,)
         Squared distance over Tukey's squared limit, as the weight was made of it: below 1.
     residual : ndarray, shape (C,)
-    information : ndarray, shape (m, m)
-        Of the pose, all that is known.
+    counts : sequence of int
+        Rows of each object.
+    information : ndarray, shape (J, m, m)
+        Of the poses, all that is known.
 
     Returns
     -------
-    ndarray, shape (4,)
+    ndarray, shape (J, 4)
         Sum of g' V g and its mean; curvature of the cost and what the weights say of it, both
         in units of the information.
 
     """
-    if not len(primitive):
-        return np.zeros(4)
-    first = np.flatnonzero(np.diff(primitive, prepend=-1))
+    sums = np.zeros((len(counts), 4))
+    some = [k for k, count in enumerate(counts) if count]
+    if not some:
+        return sums
+    information, ends = information[some], np.cumsum([counts[k] for k in some])
+    begins = np.concatenate([[0], ends[:-1]])
+    changes = np.diff(primitive, prepend=-1) != 0
+    changes[begins] = True
+    first = np.flatnonzero(changes)
+    # the first line of each object, and the object of each line
+    lines = np.searchsorted(first, begins)
+    owner = np.repeat(np.arange(len(some)), np.diff(lines, append=len(first)))
     m = rows.shape[1]
     pull = rows * weight[:, None]
-    gradient = np.add.reduceat(pull * residual[:, None], first)
-    own = np.add.reduceat((pull[:, :, None] * rows[:, None]).reshape(-1, m * m), first)
-    own = own.reshape(-1, m, m)
     V = np.linalg.inv(information)
+    gradient, own = np.empty((len(first), m)), np.empty((len(first), m * m))
+    products = (pull[:, :, None] * rows[:, None]).reshape(-1, m * m)
+    line = np.cumsum(changes) - 1
+    felt = np.empty((len(rows), m))
+    for one, begin, end, top, low in zip(V, begins, ends, lines, [*lines[1:], len(first)]):
+        # which rows are of which line: a product is faster than `reduceat` along columns
+        within = (np.arange(top, low)[:, None] == line[begin:end]).astype(float)
+        np.matmul(within * residual[begin:end], pull[begin:end], out=gradient[top:low])
+        np.matmul(within, products[begin:end], out=own[top:low])
+        np.matmul(pull[begin:end], one, out=felt[begin:end])
+    felt = (felt * rows).sum(axis=1)
     # the fit has taken its part of each line's pull: judge it by the covariance of the rest
-    rest = np.linalg.inv((1 + _RIDGE) * information - own)
-    felt = ((pull @ V) * rows).sum(axis=1)
-    return np.array([np.einsum('li,lij,lj->', gradient, rest, gradient),
-                     np.einsum('lij,ji->', own, V),
-                     felt @ ((1 - 5 * off) / (1 - off)), felt.sum()])
+    rest = (1 + _RIDGE) * information[owner] - own.reshape(-1, m, m)
+    squares = (gradient * np.linalg.solve(rest, gradient[:, :, None])[:, :, 0]).sum(axis=1)
+    means = (own * V.reshape(-1, m * m)[owner]).sum(axis=1)
+    sums[some] = np.stack([
+        np.add.reduceat(squares, lines), np.add.reduceat(means, lines),
+        np.add.reduceat(felt * ((1 - 5 * off) / (1 - off)), begins),
+        np.add.reduceat(felt, begins)], axis=1)
+    return sums
 
 
 def shared_by_outline(rows: np.ndarray, weight: np.ndarray, inside: np.ndarray,

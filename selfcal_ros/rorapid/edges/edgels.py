@@ -23,6 +23,8 @@ import numpy as np
 
 #: Half length of the derivative filter, and its sigma, pixels.
 _HALF, _SIGMA = 3, 1.0
+#: Samples beyond the search range, to each side.
+MARGIN_PX = _HALF + 1
 #: Mean distance of a curve of unit curvature from its tangent over the three lanes, pixels.
 BOW_OF_LANES = 1 / 3
 
@@ -60,7 +62,7 @@ def _derivative(samples: int) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _stations(reach: int) -> np.ndarray:
-    return np.arange(-reach - _HALF - 1, reach + _HALF + 2, dtype=np.float32)
+    return np.arange(-reach - MARGIN_PX, reach + MARGIN_PX + 1, dtype=np.float32)
 
 
 def sample_normals(image: np.ndarray, pixels: np.ndarray, normal: np.ndarray, reach_px: int,
@@ -99,7 +101,7 @@ def sample_normals(image: np.ndarray, pixels: np.ndarray, normal: np.ndarray, re
 
 
 def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float = 4.0,
-                wanted: np.ndarray | None = None) -> Edgels:
+                wanted: np.ndarray | None = None, reach_px: np.ndarray | None = None) -> Edgels:
     """
     Strongest local maxima of the derivative along each profile, to a fraction of a pixel.
 
@@ -114,6 +116,8 @@ def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float
     wanted : ndarray, shape (C,), optional
         Contrast that the edge had when it was last found (0: unknown): edges of the other sign
         count for half their strength.
+    reach_px : ndarray of int, shape (C,), optional
+        Edges beyond it do not count, where it is less than that of the profiles.
 
     Returns
     -------
@@ -124,10 +128,13 @@ def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float
     size = np.abs(slope)
     centre = size[:, 1:-1]
     peak = (centre >= size[:, :-2]) & (centre > size[:, 2:]) & (centre > least_contrast)
-    score = centre * peak
+    score = np.where(peak, centre, np.float32(0))
     if wanted is not None:
         score = np.where(slope[:, 1:-1] * wanted[:, None].astype(np.float32) < 0, 0.5 * score,
                          score)
+    reach = (centre.shape[1] - 1) // 2
+    if reach_px is not None:
+        score *= np.abs(np.arange(-reach, reach + 1)) <= reach_px[:, None]
     if candidates == 1:
         best = score.argmax(axis=1)[:, None]
     else:
@@ -140,6 +147,5 @@ def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float
     bend = left - 2 * middle + right
     with np.errstate(divide='ignore', invalid='ignore'):
         shift = np.where(bend < 0, 0.5 * (left - right) / bend, 0.0)
-    reach = (centre.shape[1] - 1) // 2
     return Edgels(np.where(found, best - reach + shift, np.nan).astype(float),
                   np.where(found, slope.take(at + 1), 0.0).astype(float))

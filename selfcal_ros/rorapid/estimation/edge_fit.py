@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.geometry.small_system import inverted
 from selfcal_ros.rorapid.edges.control_points import ControlView
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
@@ -48,7 +49,7 @@ class PosePrior:
     @classmethod
     def of(cls, state: ObjectPose, covariance: np.ndarray) -> PosePrior:
         """Return the prior of a state with a covariance (m, m)."""
-        return cls(state, covariance, np.linalg.inv(covariance))
+        return cls(state, covariance, inverted(covariance))
 
 
 @dataclass(frozen=True)
@@ -84,28 +85,24 @@ class EdgeCandidates:
 
     Attributes
     ----------
-    at : ndarray of int, shape (C,)
-        Which control points of the view.
     offset, contrast : ndarray, shape (C, K)
         Pixels from the control point, `NOWHERE_PX` where there is no edge; grey levels.
     penalty : ndarray, shape (C, K)
         Pixels by which an edge counts as further away, as it looks otherwise than remembered.
     worse : ndarray, shape (C, K)
         Factor by which an edge is located worse than that of a line.
-    weight, end_px : ndarray, shape (C,)
-        Weight of the control points; their distance from the end of their line, pixels.
+    weight : ndarray, shape (C,)
+        Weight of the control points.
     profiles : ndarray, shape (C, S)
         Grey levels along the normals.
 
     """
 
-    at: np.ndarray
     offset: np.ndarray
     contrast: np.ndarray
     penalty: np.ndarray
     worse: np.ndarray
     weight: np.ndarray
-    end_px: np.ndarray
     profiles: np.ndarray
 
 

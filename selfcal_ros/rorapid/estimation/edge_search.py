@@ -15,29 +15,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+import math
+
 import numpy as np
 
-from selfcal_ros.geometry.robust_loss import tukey_weight
-from selfcal_ros.geometry.robust_scale import fast_robust_sigma
-from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
-from selfcal_ros.rorapid.edges.edge_choice import (
-    change_of_light, contrast_matches, contrast_penalty)
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView, joined
+from selfcal_ros.rorapid.edges.edge_choice import change_of_light, contrast_matches
 from selfcal_ros.rorapid.edges.edge_noise import (
-    CommonScatter, EdgeNoise, shared_by_outline, sums_of, UNSEEN, UNSEEN_OUTLINE)
-from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
-from selfcal_ros.rorapid.edges.limb import limb_shift
-from selfcal_ros.rorapid.estimation.edge_fit import (
-    EdgeCandidates, EdgeChoice, EdgeFit, NOWHERE_PX, PosePrior, SearchRound)
+    CommonScatter, EdgeNoise, shared_by_outline, sums_together, UNSEEN, UNSEEN_OUTLINE)
+from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.estimation.edge_fit import EdgeFit
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.projection.free_directions import apart_from
 from selfcal_ros.rorapid.region.outline_greys import OutlineGreys
-from selfcal_ros.rorapid.texture.corner_fit import AgreeingCorners, CornerFit
+from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
-#: Noise of the edges in one image against what was learned, at the least.
-_MIN_NOISE = 0.7
-#: Tukey's limit in sigmas, and of the last steps at the most, pixels.
-_TUKEY, _NARROW_PX = 4.5, 3.0
+#: Tukey's limit of the last steps at the most, pixels.
+_NARROW_PX = 3.0
 #: Steps with the narrow limit in the last round; each leaves a third of the error before.
 _LAST_STEPS = 2
 #: Contrast that is strong.
@@ -46,14 +41,13 @@ _STRONG = 40.0
 _NOISE_EVERY = 2
 #: Pixels beside a guessed outline that are learned from.
 _GLANCE_PX = 10
-#: Standard deviation of an edge where a round part turns away before another one, over that of a
-#: line: both of its sides are shaded, which draws all of them one way.
-_BEFORE_PART = 3.5
 
 
 class EdgeSearch:
     """
-    Searches edges, and remembers what they look like and how well they are located.
+    Remembers what edges look like and how well they are located, and judges those of an image.
+
+    They are searched, and poses fitted to them, by `joint_fit`.
 
     Parameters
     ----------
@@ -70,6 +64,12 @@ class EdgeSearch:
         Of the edges that were found in the last image accepted.
     contrast : ndarray, shape (size,)
         Remembered contrast of each control point, 0 where none is, grey levels.
+    noise : EdgeNoise
+    greys : OutlineGreys or None
+        Of round parts.
+    corners : CornerFit
+    control : ControlModel
+    options : TrackerOptions
 
     """
 
@@ -77,13 +77,15 @@ class EdgeSearch:
                  corners: CornerFit):
         """Start without memory."""
         self.basis, self.options = basis, options
-        self._corners, self._control = corners, control
+        self.corners, self.control = corners, control
         visible = control.visible_model
         round_parts = visible.outline < len(visible.kind)
+        #: Whether there are rims or limbs, which images show otherwise than lines.
+        self.is_round = min(visible.outline, visible.limb) < len(visible.kind)
         self._common = CommonScatter(UNSEEN_OUTLINE if round_parts else UNSEEN)
-        self._noise = EdgeNoise()
+        self.noise = EdgeNoise()
         # lines tell themselves from clutter by polarity and texture; an outline has neither
-        self._greys = OutlineGreys() if round_parts else None
+        self.greys = OutlineGreys() if round_parts else None
         self.contrast = np.zeros(control.size)
         self._remembered = control.visible_model.remembered()
         self.forget()
@@ -93,9 +95,9 @@ class EdgeSearch:
         self.contrast[:] = 0
         self.share, self._images = 1.0, 0
         self._common.forget()
-        self._noise.forget()
-        if self._greys is not None:
-            self._greys.forget()
+        self.noise.forget()
+        if self.greys is not None:
+            self.greys.forget()
 
     def switch(self, basis: np.ndarray) -> None:
         """Go on with another basis of corrections."""
@@ -104,8 +106,16 @@ class EdgeSearch:
     def adopt(self, options: TrackerOptions, control: ControlModel, nearest: np.ndarray) -> None:
         """Go on by other settings; each control point remembers what the nearest one did."""
         self.options, self.contrast = options, self.contrast[nearest]
-        self._control = control
+        self.control = control
         self._remembered = control.visible_model.remembered()
+
+    def is_alike(self, other: EdgeSearch) -> bool:
+        """Whether both can be fitted at once: by one camera, in the same unknowns."""
+        return (
+            self.control.projection.is_alike(other.control.projection)
+            and self.basis.shape == other.basis.shape
+            and self.options.candidates == other.options.candidates
+            and self.options.least_contrast == other.options.least_contrast)
 
     def found_share(self, fit: EdgeFit, found: np.ndarray) -> float:
         """Share of the edges searched that were found (C,) and look as they are remembered."""
@@ -114,45 +124,37 @@ class EdgeSearch:
         wanted = self.contrast[fit.view.ids[fit.at]]
         light = change_of_light(np.where(found, fit.contrast, 0.0), wanted * found)
         # a lamp may have changed for some faces only: what looks as before counts, too
-        same = found & (contrast_matches(fit.contrast, wanted)
-                        | contrast_matches(fit.contrast, light * wanted))
+        same = contrast_matches(fit.contrast, wanted)
+        if light != 1:
+            same |= contrast_matches(fit.contrast, light * wanted)
+        same &= found
         # in clutter the edge of one is that of another: it speaks for no line
         weight = fit.clutter_weight * fit.view.must_show[fit.at]
         return float(weight @ same / max(weight.sum(), 1e-9))
 
     def misfit(self, fit: EdgeFit, found: np.ndarray) -> float:
         """Median distance of lines' edges that were found (C,), in sigmas; 0 of an outline."""
-        exact = self._control.projection.model in ('perspective', 'zoom')
-        if self._greys is not None or not exact or not found.any():
+        exact = self.control.projection.model in ('perspective', 'zoom')
+        if self.greys is not None or not exact or not found.any():
             return 0.0
-        sigma = self._noise.sigma(fit.contrast[found], fit.view.end_px[fit.at[found]])
+        sigma = self.noise.sigma(fit.contrast[found], fit.view.end_px[fit.at[found]])
         off = np.sort(np.abs(fit.residual[found]) / sigma)
         return float(off[len(off) // 2])
 
-    def scatter(self, fit: EdgeFit) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Judge how the edges of one image scatter.
-
-        Returns
-        -------
-        posterior : ndarray, shape (m, m)
-            Information of the state: edges with what they share, corners, prior.
-        sums : ndarray, shape (4,)
-            To be learned if the state is accepted.
-
-        """
-        some = np.flatnonzero(fit.weight > 0)
-        sums = sums_of(fit.view.primitive[fit.at[some]], fit.rows[some], fit.weight[some],
-                       fit.off[some], fit.residual[some], fit.solved)
+    def posterior(self, fit: EdgeFit, sums: np.ndarray) -> np.ndarray:
+        """Information (m, m) of a state: edges with what they share, by `sums`, corners, prior."""
         known = 1 / self._common.factor(sums)
-        posterior = fit.solved + (known - 1) * fit.edges
+        posterior: np.ndarray = fit.solved + (known - 1) * fit.edges
+        if self.greys is None:
+            return posterior
+        some = np.flatnonzero(fit.weight > 0)
         limb = some[fit.view.primitive[fit.at[some]] >= fit.view.limb]
-        if self._greys is not None and len(limb):
+        if len(limb):
             at = fit.at[limb]
             posterior = posterior - shared_by_outline(
                 fit.rows[limb], known * fit.weight[limb], fit.view.inside[at],
                 fit.view.projected.pixels[at], fit.measured + (known - 1) * fit.edges)
-        return posterior, sums
+        return posterior
 
     def learn(self, fit: EdgeFit, found: np.ndarray, share: float, sums: np.ndarray) -> None:
         """Take in an image that was accepted: edges found (C,), their share and scatter."""
@@ -161,11 +163,11 @@ class EdgeSearch:
         self._images += 1
         if self._images % _NOISE_EVERY == 0:
             some = np.flatnonzero(fit.weight > 0)
-            self._noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
-                              fit.residual[some])
-        if self._greys is not None:
-            self._greys.learn(fit.profiles, fit.view.projected.pixels[fit.at],
-                              fit.view.inside[fit.at])
+            self.noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
+                             fit.residual[some])
+        if self.greys is not None:
+            self.greys.learn(fit.profiles, fit.view.projected.pixels[fit.at],
+                             fit.view.inside[fit.at])
         # a place on an outline is another place of the object in the next image
         found = found & self._remembered[fit.view.ids[fit.at]]
         ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
@@ -175,17 +177,18 @@ class EdgeSearch:
     def glance(self, image: np.ndarray, view: ControlView) -> None:
         """Learn anew what object and background look like, from a view that is only guessed."""
         at = np.flatnonzero(view.searched & view.contour)
-        if len(at) and self._greys is not None:
+        if len(at) and self.greys is not None:
             pixels = view.projected.pixels[at]
             profiles = sample_normals(image, pixels, view.normal[at], _GLANCE_PX)
-            self._greys.learn(profiles, pixels, view.inside[at], anew=True)
+            self.greys.learn(profiles, pixels, view.inside[at], anew=True)
 
     def reach(self, state: ObjectPose, view: ControlView, covariance: np.ndarray) -> int:
         """Search range from the covariance (m, m) of the prediction, pixels."""
-        rows = self._control.rows(state, view) @ self.basis
-        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, covariance, rows).max(initial=0.0))
+        rows = self.control.rows(state, view) @ self.basis
+        sigma = float(((rows @ covariance) * rows).sum(axis=1).max(initial=0.0))**0.5
         options = self.options
-        return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
+        return int(min(max(math.ceil(3 * sigma), options.search_least_px),
+                       options.search_most_px))
 
     def limits(self, reach: int, first: bool, last: bool) -> list[float]:
         """Limits of the steps of the first, last or another round, from wide to narrow."""
@@ -206,118 +209,27 @@ class EdgeSearch:
         near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
         return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
 
-    def fit(self, image: np.ndarray, prior: PosePrior, around: SearchRound,
-            corners: AgreeingCorners | None = None) -> EdgeFit:
-        """
-        Search the edges and solve for the state, corners included.
 
-        Parameters
-        ----------
-        image : ndarray, shape (H, W), uint8
-        prior : PosePrior
-        around : SearchRound
-        corners : AgreeingCorners, optional
+def scattered_together(fits: Sequence[EdgeFit]) -> np.ndarray:
+    """
+    Judge how the edges of fits in the same unknowns scatter.
 
-        Returns
-        -------
-        EdgeFit
+    Parameters
+    ----------
+    fits : sequence of EdgeFit
 
-        """
-        found = self._candidates(image, around)
-        rows = self._control.rows(around.state, around.view)[found.at] @ self.basis
-        m = self.basis.shape[1]
-        corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
-        if corners is not None and corners.matches is not None and corners.agree.any():
-            corner_H, corner_g = self._corners.terms(around.state, corners.matches, corners.agree,
-                                                     self.share)
-        back = self.basis.T @ self._control.projection.difference(around.state, prior.state)
-        q = np.zeros(m)
-        for step, limit in enumerate(around.limits):
-            choice = self._chosen(found, rows @ q, limit, limit == around.limits[-1],
-                                  step + 1 == len(around.limits))
-            H = (rows * choice.weight[:, None]).T @ rows
-            g = rows.T @ (choice.weight * np.where(choice.near, choice.offset, 0.0))
-            q = np.linalg.solve(H + corner_H + prior.information,
-                                g + corner_g - prior.information @ back)
-        after = self._control.projection.moved(around.state, self.basis @ q)
-        residual = np.where(choice.near, choice.offset - rows @ q, np.nan)
-        free = self.basis.T @ self._control.free(after)
-        if free.size:
-            # the last step has turned what the shape leaves open
-            keep = apart_from(free)
-            H, rows = keep @ H @ keep, rows @ keep
-        measured = H + corner_H
-        return EdgeFit(
-            state=after, edges=H, measured=measured, solved=measured + prior.information,
-            pull=prior.information @ (back + q), view=around.view, at=found.at,
-            clutter_weight=found.weight, rows=rows, residual=residual, contrast=choice.contrast,
-            weight=choice.weight, off=choice.off * choice.off, profiles=found.profiles)
+    Returns
+    -------
+    ndarray, shape (J, 4)
+        Of each, to be learned if its state is accepted.
 
-    def _candidates(self, image: np.ndarray, around: SearchRound) -> EdgeCandidates:
-        """Search the edges along the normals of all control points that are to be searched."""
-        view, options = around.view, self.options
-        at = np.flatnonzero(view.searched)
-        weight, end_px = around.weights[at], view.end_px[at]
-        if not len(at):
-            none = np.zeros((0, options.candidates))
-            return EdgeCandidates(at, none, none, none, none, weight, end_px, np.zeros((0, 1)))
-        wanted, pixels = self.contrast[view.ids[at]], view.projected.pixels[at]
-        profiles = sample_normals(image, pixels, view.normal[at], around.reach)
-        edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
-        # the outer lanes meet a curve where it has bent away
-        offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
-        worse = np.ones(offset.shape)
-        limb = np.flatnonzero(view.primitive[at] >= view.limb)
-        if len(limb):
-            shift, worse[limb] = limb_shift(profiles[limb], edgels.offset[limb],
-                                            edgels.contrast[limb], view.inside[at[limb]])
-            offset[limb] -= shift
-        worse[~view.must_show[at]] = _BEFORE_PART
-        penalty = contrast_penalty(edgels.contrast, wanted)
-        if self._greys is not None:
-            penalty += self._greys.penalty(profiles, pixels, view.inside[at], offset)
-        offset = np.where(np.isfinite(offset), offset, NOWHERE_PX)
-        return EdgeCandidates(at, offset, edgels.contrast, penalty, worse, weight, end_px,
-                              profiles)
+    """
+    some = [np.flatnonzero(fit.weight > 0) for fit in fits]
 
-    def _chosen(self, found: EdgeCandidates, along: np.ndarray, limit: float, narrow: bool,
-                last: bool) -> EdgeChoice:
-        """
-        Choose one edge for each control point, and weigh it.
+    def of_some(name: str) -> np.ndarray:
+        return joined([getattr(fit, name)[one] for fit, one in zip(fits, some)])
 
-        Parameters
-        ----------
-        found : EdgeCandidates
-        along : ndarray, shape (C,)
-            Where the correction so far puts each control point on its normal, pixels.
-        limit : float
-            Of Tukey's biweight, pixels.
-        narrow : bool
-            The correction is nearly right: the noise is known, and tells the limit.
-        last : bool
-            It is the last step.
-
-        Returns
-        -------
-        EdgeChoice
-
-        """
-        distances = np.abs(found.offset - along[:, None]) + min(limit / 8, 1.0) * found.penalty
-        line = np.arange(len(found.at))
-        best = distances.argmin(axis=1) if len(line) else line
-        distance, offset = distances[line, best], found.offset[line, best]
-        contrast = found.contrast[line, best]
-        near = distance < limit
-        sigma: np.ndarray | float = max(limit / 3, 0.5)
-        most: np.ndarray | float = limit
-        if narrow:
-            residual, own = offset - along, self._noise.sigma(contrast, found.end_px)
-            sigma = own * fast_robust_sigma(
-                (residual / own)[near & (np.abs(residual) < 3)], _MIN_NOISE)
-            most = np.minimum(_TUKEY * sigma, limit)
-        off = distance / most
-        weight = found.weight * tukey_weight(off, 1.0) / sigma**2
-        if last:
-            # not before: from afar every edge is needed to draw the pose near
-            weight = weight / found.worse[line, best]**2
-        return EdgeChoice(offset, contrast, near, weight, off)
+    primitive = joined([fit.view.primitive[fit.at[one]] for fit, one in zip(fits, some)])
+    return sums_together(primitive, of_some('rows'), of_some('weight'), of_some('off'),
+                         of_some('residual'), [len(one) for one in some],
+                         np.array([fit.solved for fit in fits]))

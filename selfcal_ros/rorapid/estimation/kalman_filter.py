@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from selfcal_ros.geometry.small_system import solved
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.free_directions import apart_from
 
@@ -70,6 +71,7 @@ class ConstantVelocityFilter:
         self._random_walk = np.square(np.broadcast_to(np.asarray(random_walk, float), (m,)))
         #: Time that the last prediction reached over, seconds.
         self._reach_s = 0.0
+        self._noise_s, self._noise = 0.0, np.zeros((2 * m, 2 * m))
 
     def restart(self, state: ObjectPose, covariance: np.ndarray,
                 velocity: np.ndarray | None = None) -> None:
@@ -113,21 +115,28 @@ class ConstantVelocityFilter:
         P[:m, :m] += dt * (P[:m, m:].T + cross)
         P[:m, m:] = cross
         P[m:, :m] = cross.T
-        at = np.arange(m)
-        P[at, at] += self._acceleration * dt**4 / 4 + self._random_walk * dt
-        P[at, m + at] += self._acceleration * dt**3 / 2
-        P[m + at, at] += self._acceleration * dt**3 / 2
-        P[m + at, m + at] += self._acceleration * dt**2
+        P += self._noise_after(dt)
         self.state = self.projection.renewed(
             self.projection.moved(self.state, self.basis @ (self.velocity * dt)))
         self.velocity *= 1 - damping
         return self.state
 
+    def _noise_after(self, seconds: float) -> np.ndarray:
+        """Covariance (2 m, 2 m) that so many seconds add; images mostly come at one rate."""
+        if seconds != self._noise_s:
+            m, dt = self.basis.shape[1], seconds
+            at, self._noise_s = np.arange(m), seconds
+            self._noise = np.zeros((2 * m, 2 * m))
+            self._noise[at, at] = self._acceleration * dt**4 / 4 + self._random_walk * dt
+            self._noise[at, m + at] = self._noise[m + at, at] = self._acceleration * dt**3 / 2
+            self._noise[m + at, m + at] = self._acceleration * dt**2
+        return self._noise
+
     def update(self, measured: ObjectPose, noise: np.ndarray) -> None:
         """Take in a measured state with its covariance (m, m)."""
         m = self.basis.shape[1]
         innovation = self.basis.T @ self.projection.difference(measured, self.state)
-        gain = np.linalg.solve(self.pose_covariance + noise, self.covariance[:m]).T
+        gain = solved(self.pose_covariance + noise, self.covariance[:m]).T
         step = gain @ innovation
         self.state = self.projection.moved(self.state, self.basis @ step[:m])
         self.velocity = self.velocity + step[m:]
@@ -158,7 +167,7 @@ class ConstantVelocityFilter:
                 return
             # no posterior, but a pose that is only proposed
             covariance = covariance + late @ self.covariance[m:, m:] @ late.T
-        carry = np.linalg.solve(self.pose_covariance, self.covariance[:m, m:]).T
+        carry = solved(self.pose_covariance, self.covariance[:m, m:]).T
         self.velocity = self.velocity + carry @ step
         cross = carry @ covariance
         new = np.empty_like(self.covariance)
@@ -227,7 +236,7 @@ class ConstantVelocityFilter:
     def innovation_share(self, state: ObjectPose, noise: np.ndarray | float = 0.0) -> float:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)
-        return float(step @ np.linalg.solve(self.pose_covariance + noise, step) / len(step))
+        return float(step @ solved(self.pose_covariance + noise, step) / len(step))
 
 
 def seconds_between(before_ns: int | None, now_ns: int | None, frame_rate_hz: float) -> float:

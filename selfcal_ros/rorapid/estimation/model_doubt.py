@@ -34,6 +34,7 @@ import numpy as np
 
 from selfcal_ros.geometry.robust_loss import tukey_weight
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
+from selfcal_ros.geometry.small_system import solved
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
@@ -124,7 +125,9 @@ class ModelDoubt:
         self._control, self._least = control, least_contrast
         self.basis = basis
         self._patterns = patterns_of(control)
-        self._shifts = np.array([p.shift for p in self._patterns if p.shift is not None])
+        shifts = np.array([p.shift for p in self._patterns if p.shift is not None])
+        #: Of each control point by each pattern but the first, in x, y and z: (3, size, K - 1).
+        self._shifts = np.ascontiguousarray(shifts.transpose(2, 1, 0)) if len(shifts) else None
         self._matters = np.array([_MATTERS[p.kind] for p in self._patterns])
         self._explains = np.array([_EXPLAINS[p.kind] for p in self._patterns])
         self.forget()
@@ -180,22 +183,20 @@ class ModelDoubt:
             residual = chosen - rows @ q
             w = weight * tukey_weight(residual, limit)
             H = (rows * w[:, None]).T @ rows + prior
-            q = np.linalg.solve(H, rows.T @ (w * np.where(w > 0, chosen, 0.0)))
+            q = solved(H, rows.T @ (w * np.where(w > 0, chosen, 0.0)))
             near = np.abs(residual) < limit
             if near.sum() < 3 * self.basis.shape[1]:
                 return
             limit = float(np.clip(6 * fast_robust_sigma(residual[near], 0.1), *_LIMIT_PX))
         residual = np.where(w > 0, chosen - rows @ q, 0.0)
         slopes = self._slopes(state, view, at)
-        pull = np.linalg.solve(H, rows.T @ (w[:, None] * slopes))
+        pull = solved(H, rows.T @ (w[:, None] * slopes))
         own = slopes - rows @ pull
         primitive = view.primitive[at]
         size = len(self._score)
-        score, information = np.zeros((2, size, own.shape[1]))
-        np.add.at(score, primitive, w[:, None] * own * residual[:, None])
-        np.add.at(information, primitive, w[:, None] * own**2)
-        self._score = _MEMORY * self._score + score
-        self._information = _MEMORY * self._information + information
+        within = (np.arange(size)[:, None] == primitive) * w
+        self._score = _MEMORY * self._score + (within * residual) @ own
+        self._information = _MEMORY * self._information + within @ (own * own)
         self._square = _MEMORY * self._square + float(w @ residual**2)
         self._weight = _MEMORY * self._weight + float(w.sum())
         self._pull = pull[:self.basis.shape[1]]
@@ -229,11 +230,13 @@ class ModelDoubt:
         projection = self._control.projection
         # a shift of a point is a shift of the object for that point alone
         rows = projection.rows(state, view.projected, view.normal)[at]
-        moved = self._shifts[:, view.ids[at]] @ state.rotation.T
+        x, y, z = (rows[:, 3:6] @ state.rotation).T[:, :, None]
         out = np.empty((len(at), len(self._patterns)))
-        out[:, 0] = np.einsum('ci,ci->c', view.normal[at], view.projected.pixels[at]
-                              - projection.camera.K[:2, 2])
-        out[:, 1:] = np.einsum('kci,ci->ck', moved, rows[:, 3:6])
+        out[:, 0] = ((view.projected.pixels[at] - projection.camera.K[:2, 2])
+                     * view.normal[at]).sum(axis=1)
+        if self._shifts is not None:
+            in_x, in_y, in_z = self._shifts[:, view.ids[at]]
+            out[:, 1:] = in_x * x + in_y * y + in_z * z
         return out
 
     def _judge(self) -> None:

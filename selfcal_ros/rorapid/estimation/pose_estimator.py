@@ -26,6 +26,7 @@ from typing import Protocol
 import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.estimation.joint_search import Measuring
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.pose_search import PoseSearch
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
@@ -55,6 +56,10 @@ class PoseEstimator(PoseMeter, Protocol):
     @property
     def seeker(self) -> SearchingEstimator | None:
         """What seeks an object that is lost; None where nothing does."""
+
+    def measuring(self, image: np.ndarray, predicted: ObjectPose,
+                  covariance: np.ndarray) -> Measuring:
+        """Do the same beside others, whose edges are searched at once."""
 
     def initialise(self, image: np.ndarray, guess: ObjectPose,
                    covariance: np.ndarray) -> PoseMeasurement:

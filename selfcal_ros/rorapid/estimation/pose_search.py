@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.edges.control_points import ControlModel, views_together
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.edge_fit import PosePrior, SearchRound
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
+from selfcal_ros.rorapid.estimation.joint_fit import fit_together, FitTask
 from selfcal_ros.rorapid.estimation.start_check import quartered, StartCheck, Support, turned
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -84,11 +85,11 @@ class PoseSearch:
         shifts = vectors * np.sqrt(values)
         starts = np.concatenate([np.zeros((1, len(covariance))), shifts.T, -shifts.T])
         prior = PosePrior.of(guess, covariance)
+        states = [self.control.projection.moved(guess, self.basis @ start) for start in starts]
         best, best_score = guess, -1.0
-        for start in starts:
-            state = self.control.projection.moved(guess, self.basis @ start)
-            state = self._drawn_in(image, state, prior, _START_ROUNDS)
-            score = self._edges.score(image, self.control.view(state))
+        states = self._drawn_in(image, states, len(states) * [prior], _START_ROUNDS)
+        for state, view in zip(states, views_together([self.control] * len(states), states)):
+            score = self._edges.score(image, view)
             if score > best_score:
                 best, best_score = state, score
         return best
@@ -151,8 +152,8 @@ class PoseSearch:
         information = np.linalg.inv(covariance)
 
         def drawn(states: list[ObjectPose], rounds: int) -> list[tuple[ObjectPose, Support]]:
-            poses = [self._drawn_in(image, state, PosePrior(state, covariance, information),
-                                    rounds) for state in states]
+            poses = self._drawn_in(image, states, [
+                PosePrior(state, covariance, information) for state in states], rounds)
             found = [(pose, self.check.support(image, pose)) for pose in poses]
             return sorted(found, key=lambda pair: -pair[1].length)
 
@@ -163,16 +164,19 @@ class PoseSearch:
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
-    def _drawn_in(self, image: np.ndarray, state: ObjectPose, prior: PosePrior,
-                  rounds: int) -> ObjectPose:
-        """Let the edges draw a start to themselves."""
+    def _drawn_in(self, image: np.ndarray, states: list[ObjectPose], priors: list[PosePrior],
+                  rounds: int) -> list[ObjectPose]:
+        """Let the edges draw starts to themselves, all at once."""
         reach = int(np.ceil(self.options.search_most_px))
         for turn in range(rounds):
-            wide, view = turn < _WIDE_ROUNDS, self.control.view(state)
-            state = self._edges.fit(image, prior, SearchRound(
-                state, view, reach if wide else _GUESS_REACH_PX,
-                self._edges.limits(reach, wide, not wide), clutter_weight(view))).state
-        return state
+            wide = turn < _WIDE_ROUNDS
+            views = views_together([self.control] * len(states), states)
+            limits = self._edges.limits(reach, wide, not wide)
+            states = [fit.state for fit in fit_together(image, [
+                FitTask(self._edges, prior, SearchRound(
+                    state, view, reach if wide else _GUESS_REACH_PX, limits,
+                    clutter_weight(view))) for state, prior, view in zip(states, priors, views)])]
+        return states
 
 
 def best_turned(poses: list[tuple[ObjectPose, Support]], found: ObjectPose,

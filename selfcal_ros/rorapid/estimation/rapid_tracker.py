@@ -22,6 +22,7 @@ from selfcal_ros.geometry.robust_scale import fast_robust_sigma
 from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.estimation.joint_search import Measuring
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
                                                                 ransac_lines, stability)
@@ -129,6 +130,12 @@ class RapidTracker:
         if self.robust:
             self._remember(view, offset, found)
         return result
+
+    def measuring(self, image: np.ndarray, predicted: ObjectPose,
+                  covariance: np.ndarray) -> Measuring:
+        """Measure; nothing is searched together with others."""
+        yield from ()
+        return self.measure(image, predicted, covariance)
 
     def _support(self, view: ControlView, offset: np.ndarray, found: np.ndarray) -> np.ndarray:
         """RANSAC within each primitive; primitives with too few edgels are not found."""

@@ -16,16 +16,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.geometry.small_system import inverted
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.arrival import Arrival
-from selfcal_ros.rorapid.estimation.edge_fit import EdgeFit, PosePrior, SearchRound
+from selfcal_ros.rorapid.estimation.edge_fit import PosePrior
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.free_turn import with_turn_counted
+from selfcal_ros.rorapid.estimation.joint_search import (
+    alone, Measuring, SearchedEdges, SearchTask)
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
 from selfcal_ros.rorapid.estimation.pose_search import PoseSearch
 from selfcal_ros.rorapid.estimation.row_doubt import row_doubt
@@ -49,8 +50,6 @@ _MUCH_HIDDEN = 0.5
 _HIDDEN = 0.5
 #: An edgel agrees within this, pixels.
 _FOUND_PX = 1.75
-#: Search range once the object is nearly there, pixels.
-_NEAR_REACH_PX = 5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
@@ -190,8 +189,13 @@ class RobustTracker:
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
                 covariance: np.ndarray) -> PoseMeasurement:
+        """Find the object near a predicted state: `measuring`, by itself."""
+        return alone(self.measuring(image, predicted, covariance))
+
+    def measuring(self, image: np.ndarray, predicted: ObjectPose,
+                  covariance: np.ndarray) -> Measuring:
         """
-        Find the object near a predicted state.
+        Find the object near a predicted state, beside others.
 
         Parameters
         ----------
@@ -199,6 +203,11 @@ class RobustTracker:
         predicted : ObjectPose
         covariance : ndarray, shape (m, m)
             Covariance of the prediction.
+
+        Yields
+        ------
+        SearchTask
+            To be sent its `SearchedEdges`; see `together`.
 
         Returns
         -------
@@ -213,13 +222,13 @@ class RobustTracker:
             corners = self._by_texture(region, prior)
         count, matches = int(corners.agree.sum()), corners.matches
         led = count >= MIN_TEXTURE
-        measured = self._search(image, region, prior, corners, led)
+        measured = yield from self._search(image, prior, corners, led, region)
         if led and matches is not None and count < max(
                 RECOGNISED_CORNERS, RECOGNISED_FOLLOWED * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
-            by_edges = self._search(image, region, prior,
-                                    AgreeingCorners(predicted, matches, near), False)
+            by_edges = yield from self._search(
+                image, prior, AgreeingCorners(predicted, matches, near), False, region)
             if _quality(by_edges) > _quality(measured):
                 measured = by_edges
         return measured
@@ -245,46 +254,28 @@ class RobustTracker:
     def measured_by_edges(self, image: np.ndarray, predicted: ObjectPose, covariance: np.ndarray,
                           near: bool = False) -> PoseMeasurement:
         """Measure by edges alone: those near the prediction, or as far as its covariance says."""
-        return self._search(image, None, PosePrior.of(predicted, covariance),
-                            _no_corners(predicted), near)
+        return alone(self._search(image, PosePrior.of(predicted, covariance),
+                                  _no_corners(predicted), near, None))
 
-    def _search(self, image: np.ndarray, region: Region | None, prior: PosePrior,
-                corners: AgreeingCorners, led: bool) -> PoseMeasurement:
+    def _search(self, image: np.ndarray, prior: PosePrior, corners: AgreeingCorners, led: bool,
+                region: Region | None) -> Measuring:
         """
-        Search the edges about a state, in some rounds, and conclude.
+        Ask for edges about a state, and conclude.
 
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
-        region : Region or None
-            Part of the image around the object; None outside of the image.
         prior : PosePrior
         corners : AgreeingCorners
             And the state to begin from.
         led : bool
             That state is from the corners, and nearly right; else edges may be further away.
-
-        Returns
-        -------
-        PoseMeasurement
+        region : Region or None
+            Part of the image around the object; None outside of the image.
 
         """
-        edges, rounds, state = self._edges, self.options.rounds, corners.state
-        view = self.control.view(state)
-        weights = clutter_weight(view)
-        reach = int(np.ceil(self.options.search_least_px)) if led else edges.reach(
-            state, view, prior.covariance)
-        for turn in range(rounds):
-            if turn:
-                view = self.control.again(view, state)
-                reach = min(reach, _NEAR_REACH_PX)
-                if not led and corners.matches is not None:
-                    corners = replace(corners, agree=self._corners.near(state, corners.matches))
-            limits = edges.limits(reach, turn == 0 and not led, turn + 1 == rounds)
-            fit = edges.fit(image, prior, SearchRound(state, view, reach, limits, weights),
-                            corners)
-            state = fit.state
-        return self._conclude(region, fit, corners)
+        searched = yield SearchTask(image, self._edges, prior, corners, led)
+        return self._conclude(region, searched)
 
     def _by_texture(self, region: Region, prior: PosePrior) -> AgreeingCorners:
         """
@@ -342,9 +333,9 @@ class RobustTracker:
         """Forget what the texture looked like at states that were not confirmed."""
         self.texture.disown()
 
-    def _conclude(self, region: Region | None, fit: EdgeFit,
-                  corners: AgreeingCorners) -> PoseMeasurement:
+    def _conclude(self, region: Region | None, searched: SearchedEdges) -> PoseMeasurement:
         """Count what confirms the state."""
+        fit, corners = searched.fit, searched.corners
         matches, agree = corners.matches, corners.agree
         edge_px = np.full(len(fit.view.ids), np.nan)
         edge_px[fit.at] = fit.residual
@@ -357,15 +348,15 @@ class RobustTracker:
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
-        posterior, sums = self._edges.scatter(fit)
+        posterior = self._edges.posterior(fit, searched.scatter)
         motion = self.projection.row_motion
         return PoseMeasurement(
-            state=fit.state, covariance=np.linalg.inv(posterior), with_prior=True,
-            view=self.control.again(fit.view, fit.state), edge_px=edge_px, found=found,
+            state=fit.state, covariance=inverted(posterior), with_prior=True,
+            view=searched.view, edge_px=edge_px, found=found,
             texture_px=texture_px, share=share, determined=determined, recognised=recognised,
             by_texture=bool(recognised and agree.sum() >= RECOGNISED_CORNERS),
             focal_sigma=focal, details=SearchDetails(
-                region, fit, matches, agree, sums, edges,
+                region, fit, matches, agree, searched.scatter, edges,
                 self._edges.misfit(fit, found[fit.at])),
             rows=None if motion is None else row_doubt(fit, motion, self.basis))
 

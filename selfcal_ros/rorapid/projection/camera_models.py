@@ -21,6 +21,7 @@ affine camera. All models end in pixels, through the lens distortion of the came
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import TYPE_CHECKING
@@ -130,6 +131,7 @@ class Projection:
         self.become(model)
         self._pixel = camera.K[:2, :2].copy()
         self._centre = camera.K[:2, 2].copy()
+        self._signature = (camera.K.tobytes(), camera.distortion.tobytes(), camera.model)
         self._distorted = not camera.is_pinhole
         widest = camera.lens.widest_angle(camera.distortion) if self._distorted else np.inf
         # beyond it the lens's formula leads back into the image
@@ -193,6 +195,26 @@ class Projection:
                 inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
             xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
         return ProjectedPoints(self.pixels(xy, state.zoom), xy, turned, inverse)
+
+    def is_alike(self, other: Projection) -> bool:
+        """Whether both are perspective views by one camera that reads all lines at once."""
+        return (self._signature == other._signature and self.model == other.model == 'perspective'
+                and not self.reads_rows)
+
+    def project_at_once(self, states: Sequence[ObjectPose], points: Sequence[np.ndarray],
+                        ) -> ProjectedPoints:
+        """Project points (P, C_k, 3) of objects, see `project_together`; by a perspective view."""
+        counts = [one.shape[1] for one in points]
+        turned = np.empty((len(points[0]), sum(counts), 3))
+        end = 0
+        for state, one in zip(states, points):
+            begin, end = end, end + one.shape[1]
+            np.matmul(one, state.rotation.T, out=turned[:, begin:end])
+        away = np.repeat(np.array([state.translation for state in states]), counts, axis=0)
+        inverse = 1 / np.maximum(turned[..., 2] + away[:, 2], NEAREST_M)
+        xy = (turned[..., :2] + away[:, :2]) * inverse[..., None]
+        return ProjectedPoints(self.pixels(xy.reshape(-1, 2), 1.0).reshape(xy.shape), xy, turned,
+                               inverse)
 
     def pixels(self, xy: np.ndarray, zoom: float) -> np.ndarray:
         """Pixels (C, 2) of normalised coordinates, the focal length that multiple of its own."""
@@ -319,6 +341,40 @@ class Projection:
             slope[3:, k] = (other.translation - state.translation) / step[k]
         carried: np.ndarray = slope @ covariance @ slope.T
         return carried
+
+
+def project_together(projections: Sequence[Projection], states: Sequence[ObjectPose],
+                     points: Sequence[np.ndarray]) -> ProjectedPoints:
+    """
+    Project points of several objects.
+
+    Parameters
+    ----------
+    projections : sequence of Projection
+    states : sequence of ObjectPose
+    points : sequence of ndarray, shape (P, C_k, 3)
+        Of each object, in its frame.
+
+    Returns
+    -------
+    ProjectedPoints
+        Of shapes (P, C, 2), (P, C, 2), (P, C, 3) and (P, C), the objects one after the other.
+
+    """
+    first = projections[0]
+    if len(points) > 1 and all(one.is_alike(first) for one in projections):
+        return first.project_at_once(states, points)
+    found = []
+    for projection, state, one in zip(projections, states, points):
+        seen = projection.project(state, one.reshape(-1, 3))
+        shape = one.shape[:2]
+        found.append(ProjectedPoints(
+            seen.pixels.reshape(*shape, 2), seen.xy.reshape(*shape, 2),
+            seen.turned.reshape(*shape, 3), seen.inverse_depth.reshape(shape)))
+    if len(found) == 1:
+        return found[0]
+    return ProjectedPoints(*(np.concatenate([getattr(seen, name) for seen in found], axis=1)
+                             for name in ('pixels', 'xy', 'turned', 'inverse_depth')))
 
 
 def _rotation_matrix(vector: np.ndarray) -> np.ndarray:

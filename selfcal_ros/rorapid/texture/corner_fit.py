@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.geometry.robust_loss import tukey_weight
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
+from selfcal_ros.geometry.small_system import inverted, solved
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
 from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
 
@@ -107,7 +108,7 @@ class CornerFit:
             H = (both * wide[:, None]).T @ both / sigma**2
             g = both.T @ (wide * residual.ravel()) / sigma**2
             back = self.basis.T @ self.projection.difference(state, predicted)
-            q = np.linalg.solve(H + prior, g - prior @ back)
+            q = solved(H + prior, g - prior @ back)
             state = self.projection.moved(state, self.basis @ q)
         near = self.near(state, matches, near_px)
         return (state, near) if near.sum() >= MIN_TEXTURE else (predicted, agree)
@@ -165,5 +166,5 @@ class CornerFit:
             return H, g
         # what the corners share does not average out: (H^-1 + C)^-1 = (I + H C)^-1 H
         B = self.basis[:6]
-        less = np.linalg.inv(np.eye(len(H)) + H @ (B.T @ matches.common @ B))
+        less = inverted(np.eye(len(H)) + H @ (B.T @ matches.common @ B))
         return less @ H, less @ g

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import cv2
@@ -144,8 +145,8 @@ class TextureMemory:
             return self._visible
         centre = -state.rotation.T @ state.translation
         ray = centre - self._origins
-        cosine = np.abs(np.einsum('fi,fi->f', ray, self._normals)) / np.linalg.norm(ray, axis=1)
-        view = centre / np.linalg.norm(centre)
+        cosine = np.abs((ray * self._normals).sum(axis=1)) / np.sqrt((ray * ray).sum(axis=1))
+        view = centre / math.sqrt(centre @ centre)
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
             hidden = hidden_points(self._samples, centre, self._triangles)
@@ -203,6 +204,8 @@ class TextureMemory:
             None where no known face is visible.
 
         """
+        if not any((face.score > MIN_SCORE).any() for face in self._faces):
+            return None
         visible = self._see(state)
         faces = [k for k in np.flatnonzero(visible) if self._faces[k].seen]
         if not any((self._faces[k].score > MIN_SCORE).any() for k in faces):

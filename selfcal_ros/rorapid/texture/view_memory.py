@@ -23,6 +23,7 @@ Both only propose; the tracker's own measurement decides.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import math
 
 import cv2
 import numpy as np
@@ -31,8 +32,8 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
 
-#: Views are remembered when their direction differs by this much, and so many at the most.
-_NEW_VIEW_RAD, _MAX_VIEWS = 0.35, 12
+#: Views are remembered when their direction differs by 0.35 rad, and so many at the most.
+_SAME_VIEW, _MAX_VIEWS = math.cos(0.35), 12
 #: Views that are compared with one image.
 _VIEWS_A_FRAME = 3
 #: Features agree with a similarity within this share of the object's size in the image.
@@ -80,19 +81,19 @@ class ViewMemory:
     def forget(self) -> None:
         """Drop all views."""
         self._views: list[_View] = []
+        self._directions = np.zeros((0, 3))
         self._last: _View | None = None
         self._searches = 0
 
     def remember(self, region: Region, state: ObjectPose) -> None:
         """Keep a well-tracked view: always the last one, and each new direction."""
         direction = -state.rotation.T @ state.translation
-        direction /= np.linalg.norm(direction)
+        direction /= math.sqrt(direction @ direction)
         self._last = _View(region, state, direction)
-        for view in self._views:
-            if view.direction @ direction > np.cos(_NEW_VIEW_RAD):
-                return
-        if len(self._views) < _MAX_VIEWS:
+        if len(self._views) < _MAX_VIEWS and not (
+                self._directions @ direction > _SAME_VIEW).any():
             self._views.append(self._last)
+            self._directions = np.array([view.direction for view in self._views])
 
     def shifted(self, region: Region, state: ObjectPose) -> list[ObjectPose]:
         """

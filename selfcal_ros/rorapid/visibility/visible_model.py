@@ -22,10 +22,13 @@ of plane faces, convex or not, closed or open.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.rorapid.visibility.silhouettes import SolidCylinders
 from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints, VisibleGeometry
 from selfcal_ros.values.wireframe import WireframeModel
@@ -131,6 +134,13 @@ class VisibleModel:
         self.end_m = np.concatenate([ends_m[:L].ravel(), np.full(K * per_conic, np.inf),
                                      ends_m[L:].ravel()])
         self._corners = model.vertices[model.triangles]
+        self._middle = np.asarray(model.centre, float)
+        around = self._corners - self._middle
+        self._radius = float(np.abs(around).max(initial=0.0))
+        following, last = (np.roll(around, -k, axis=1) for k in (1, 2))
+        #: Of each corner of each triangle, (3, T, 3): product and difference of the other two.
+        self._across = np.cross(following, last).swapaxes(0, 1)
+        self._spans = (last - following).swapaxes(0, 1)
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
@@ -231,23 +241,25 @@ class VisibleModel:
         """
         hidden = np.zeros(len(points), bool)
         rays = points - centre
-        corners = self._corners
+        chosen = slice(None) if triangles is None else triangles
         if triangles is not None:
-            corners = corners[triangles]
             on_face = on_face if on_face is None else on_face[:, triangles]
-        corners = corners - centre
+        here = centre - self._middle
+        # with corners a, b, c as the camera sees them: b x c, which is linear in its place
+        cofactors = self._across[:, chosen] + self._spans[:, chosen] @ cross_matrix(here)
+        apart = self._corners[chosen, 0] - centre
+        volume = (apart * cofactors[0]).sum(axis=1)
+        size = self._radius + math.sqrt(here @ here)
+        edge_on = np.abs(volume) < 1e-12 * size**3
+        volume[edge_on] = 1.0
+        cofactors /= volume[:, None]
         chunk = max(1, _LARGEST // max(1, 3 * len(points)))
-        for start in range(0, len(corners), chunk):
-            part = corners[start:start + chunk]
-            a, b, c = part[:, 0], part[:, 1], part[:, 2]
-            cofactors = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)])
-            volume = (a * cofactors[0]).sum(axis=1)
-            size = np.abs(part).max(initial=0.0)
-            edge_on = np.abs(volume) < 1e-12 * size**3
-            volume[edge_on] = 1.0
-            share = rays @ (cofactors / volume[:, None]).reshape(-1, 3).T
-            share = share.reshape(len(points), 3, len(part))
-            behind = (share.min(axis=1) > -1e-9) & (share.sum(axis=1) > 1 + 1e-9) & ~edge_on
+        for start in range(0, len(volume), chunk):
+            part = cofactors[:, start:start + chunk]
+            a, b, c = rays @ part.swapaxes(1, 2)
+            behind = np.minimum(np.minimum(a, b), c) > -1e-9
+            behind &= a + b + c > 1 + 1e-9
+            behind &= ~edge_on[start:start + chunk]
             if on_face is not None:
                 behind &= ~on_face[:, start:start + chunk]
             hidden |= behind.any(axis=1)
