@@ -16,9 +16,10 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
+from typing import cast, TYPE_CHECKING
 
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from selfcal_ros.pipeline.feature_session import ExtractedTracks
     from selfcal_ros.pipeline.frame_source import FrameSource
     from selfcal_ros.pipeline.progress import Progress
+    from selfcal_ros.rorapid.options import ReadLines
 
 #: Motions from tracks of an unknown scene.
 MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general', 'repeated')
@@ -285,13 +287,19 @@ def _from_edges(args: argparse.Namespace, path: str | Path, settings: Calibratio
                 progress: Progress) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """Calibrate from the edges of a tracked object; returns the result and the reading."""
     from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
-    from selfcal_ros.report.camera_files.known_camera import read_known_camera
+    from selfcal_ros.report.camera_files.known_camera import read_known
     from selfcal_ros.rorapid.model import read_model
-    start = read_known_camera(args.camera) if args.camera else None
-    return calibrate_tracked_object(path, read_model(args.model), settings.facts, init=args.init,
-                                    clicks=args.clicks, start=start, topic=args.topic,
-                                    max_keyframes=args.max_keyframes, seed=args.seed,
-                                    progress=progress, excerpt=settings.excerpt)
+    stored, facts = read_known(args.camera) if args.camera else None, settings.facts
+    if stored is not None and stored.line_delay_s and args.line_delay is None and (
+            args.shutter != 'global'):
+        facts = replace(facts, line_delay_s=stored.line_delay_s)
+    return calibrate_tracked_object(path, read_model(args.model), facts, init=args.init,
+                                    clicks=args.clicks,
+                                    start=None if stored is None else stored.camera,
+                                    topic=args.topic, max_keyframes=args.max_keyframes,
+                                    seed=args.seed, progress=progress, excerpt=settings.excerpt,
+                                    lines=cast('ReadLines', 'rows' if stored is None else
+                                               stored.lines))
 
 
 def _check_track(args: argparse.Namespace) -> None:

@@ -33,16 +33,60 @@ END_POINTS = 2
 BORDER_PX = 6
 #: Weakest edge that is measured, grey levels, and candidates on each normal.
 CONTRAST, CANDIDATES = 5.0, 3
+#: How often the line of a point is asked anew.
+READ_ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class PosedImage:
-    """One image that is kept."""
+    """
+    One image that is kept.
+
+    Attributes
+    ----------
+    index : int
+    image : ndarray, shape (H, W), uint8
+    rotation, translation : ndarray, shape (3, 3) and (3,)
+        Of the object in the camera's frame, when the middle line is read.
+    move : ndarray, shape (6,), or None
+        How it turns (radians, camera axes) and shifts (metres) from one line to the next; None
+        where all lines are read at once.
+    lines : {'rows', 'columns'}
+        What is read one after the other.
+
+    """
 
     index: int
     image: np.ndarray
     rotation: np.ndarray
     translation: np.ndarray
+    move: np.ndarray | None = None
+    lines: str = 'rows'
+
+    def when_read(self, camera: Camera, X: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        """
+        Move points on to where they are when their line is read.
+
+        Parameters
+        ----------
+        camera : Camera
+        X, turned : ndarray, shape (N, 3)
+            In the camera's frame when the middle line is read, and less the translation.
+
+        Returns
+        -------
+        ndarray, shape (N, 3)
+
+        """
+        if self.move is None:
+            return X
+        axis = 1 if self.lines == 'rows' else 0
+        count = (camera.width, camera.height)[axis]
+        a_line, moved = np.cross(self.move[:3], turned) + self.move[3:], X
+        for _ in range(READ_ROUNDS):
+            late = np.clip(camera.project(moved)[:, axis] - 0.5 * (count - 1), -count, count)
+            moved = X + np.nan_to_num(late)[:, None] * a_line
+        return moved
 
 
 def measure_edges(fine: VisibleModel, camera: Camera, views: list[PosedImage],
@@ -66,7 +110,7 @@ def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int,
     laid = _lay_out(fine, camera, view)
     if laid is None:
         return None
-    points, index, pixels, normal = laid
+    points, index, pixels, normal, late = laid
     edgels = find_edgels(sample_normals(view.image, pixels, normal, reach), CANDIDATES, CONTRAST)
     # the nearest, not the strongest: the poses are those of the last adjustment
     distance = np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), np.inf)
@@ -77,12 +121,26 @@ def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int,
         return None
     index = index[found]
     return (points.ids[index], points.primitive[index], points.object_points[index],
-            points.tangents[index], pixels[found] + normal[found] * offset[found, None])
+            points.tangents[index],
+            pixels[found] - late[found] + normal[found] * offset[found, None])
 
 
 def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
-             ) -> tuple[ControlPoints, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Project the control points: them, which are usable, pixels and normals (or None)."""
+             ) -> tuple[ControlPoints, np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """
+    Project the control points.
+
+    Returns
+    -------
+    points : ControlPoints
+    index : ndarray, shape (N,)
+        Which are usable.
+    pixels, normal : ndarray, shape (N, 2)
+        When their line is read.
+    late : ndarray, shape (N, 2)
+        How far they have moved since the middle line was read, pixels.
+
+    """
     points = fine.control_points(view.rotation, view.translation)
     kind = np.array(points.kind)[points.primitive]
     # where a silhouette lies on the object depends on the pose
@@ -91,12 +149,16 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
     place = points.ids % LINE_POINTS
     usable &= (kind != 'line') | ((place >= END_POINTS) & (place < LINE_POINTS - END_POINTS))
     index = np.flatnonzero(usable)
-    X = points.object_points[index] @ view.rotation.T + view.translation
-    index, X = index[X[:, 2] > 1e-6], X[X[:, 2] > 1e-6]
+    turned = points.object_points[index] @ view.rotation.T
+    ahead = turned[:, 2] + view.translation[2] > 1e-6
+    index, turned = index[ahead], turned[ahead]
     if not len(index):
         return None
     along = points.tangents[index] @ view.rotation.T
+    still = turned + view.translation
+    X = view.when_read(camera, still, turned)
     pixels = camera.project(X)
+    late = np.zeros_like(pixels) if X is still else pixels - camera.project(still)
     run = camera.project(X + 1e-4 * X[:, 2:] * along) - pixels
     run /= np.maximum(np.linalg.norm(run, axis=1, keepdims=True), 1e-12)
     size = np.array([camera.width, camera.height])
@@ -104,7 +166,7 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
     if not inside.any():
         return None
     normal = np.column_stack([-run[:, 1], run[:, 0]])
-    return points, index[inside], pixels[inside], normal[inside]
+    return points, index[inside], pixels[inside], normal[inside], late[inside]
 
 
 def edge_misfit(fine: VisibleModel, camera: Camera, views: list[PosedImage]) -> float:

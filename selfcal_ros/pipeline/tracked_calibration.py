@@ -32,6 +32,7 @@ import numpy as np
 from selfcal_ros.calibration.known_object.edge_calibration import (adjust_to_edges,
                                                                    calibrate_from_edges, EdgeViews)
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera
@@ -40,10 +41,12 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.object_motion import PosesInTime
 from selfcal_ros.pipeline.progress import Progress
 from selfcal_ros.pipeline.sources import Excerpt, Frame, FrameSource, open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.rorapid.options import ReadLines
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.tracks import Tracks
@@ -92,6 +95,8 @@ class _Passage:
         Why the last image was not tracked.
     stamps_ns : dict of int to int
         Of the views, by frame.
+    interval_s : float or None
+        Between images, in the median.
 
     """
 
@@ -100,6 +105,7 @@ class _Passage:
     tracked: int
     reason: str
     stamps_ns: dict[int, int]
+    interval_s: float | None
 
 
 def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: CameraFacts, *,
@@ -107,6 +113,7 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
                              start: Camera | None = None, topic: str | None = None,
                              max_keyframes: int | None = None, seed: int = 0,
                              progress: Progress | None = None, excerpt: Excerpt = Excerpt(),
+                             lines: ReadLines = 'rows',
                              ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Calibrate a camera from a recording in which an object of known shape can be followed.
@@ -130,6 +137,8 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
         Called as progress(text, done, total).
     excerpt : Excerpt
         The part of the recording that is used.
+    lines : {'rows', 'columns'}
+        What is read one after the other, if the facts state a line delay.
 
     Returns
     -------
@@ -150,6 +159,7 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
         size = source.image_size
         assert size is not None, 'images have been seen'
         facts.check_for(size)
+        _check_readout(facts, source)
         if start is not None and start.width and (start.width, start.height) != size:
             raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
                              f'is for {start.width}x{start.height} pixels.')
@@ -157,9 +167,13 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
             raise InputError('A mesh cannot calibrate a camera yet; give a wireframe of the '
                              'object (.cao or .yaml).')
         task = _Task(source, VisibleModel(model, LINE_POINTS, CONIC_POINTS), facts, most, seed,
-                     progress)
+                     progress, lines)
         camera, pose = _begin(task, init, clicks, start)
         passage, result, edges = task.best_passage(camera, pose)
+        readout = task.readout(passage)
+        if readout is not None and result:
+            result = replace(result, shutter=readout,
+                             findings=(*result.findings, readout.finding()))
         return result, _reading(source, passage, edges)
 
 
@@ -179,6 +193,8 @@ class _Task:
         Of the tracker.
     progress : callable, optional
         Called as progress(text, done, total).
+    lines : {'rows', 'columns'}
+        What is read one after the other, if the facts state a line delay.
 
     """
 
@@ -188,6 +204,21 @@ class _Task:
     most_views: int
     seed: int
     progress: Progress | None
+    lines: ReadLines = 'rows'
+
+    @property
+    def line_delay_s(self) -> float:
+        """Seconds from one line to the next, 0 where all are read at once."""
+        return self.facts.line_delay_s or 0.0
+
+    def readout(self, passage: _Passage) -> RowReadout | None:
+        """Return how lines were said to be read; None where all are read at once."""
+        if not self.line_delay_s or passage.interval_s is None:
+            return None
+        width, height = self.source.image_size or (0, 0)
+        count = height if self.lines == 'rows' else width
+        return RowReadout(self.line_delay_s, 0.0, 'held',
+                          self.line_delay_s * count / passage.interval_s, 0.0, count, self.lines)
 
     def best_passage(self, camera: Camera, pose: Pose,
                      ) -> tuple[_Passage, Calibration | NotCalibrated, EdgeViews | None]:
@@ -226,12 +257,14 @@ class _Task:
         """Follow the object through all images, and keep some of them."""
         source, most = self.source, self.most_views
         # that the camera is wrong is known here
-        session = TrackingSession(self.fine.model, TrackerOptions(doubt=False), camera, self.seed)
+        options = TrackerOptions(doubt=False, line_delay_s=self.line_delay_s, lines=self.lines)
+        session = TrackingSession(self.fine.model, options, camera, self.seed)
         session.start(*pose)
         step = max(1, (source.count or 2 * most) // (2 * most))
         views: list[PosedImage] = []
         images, good, reason = 0, 0, 'no image could be used'
         stamps: dict[int, int] = {}
+        path = PosesInTime()
         timed = source.clock != 'nominal'
         for frame in source:
             try:
@@ -240,6 +273,8 @@ class _Task:
                 reason = str(error)
                 continue
             images += 1
+            path.add(frame.stamp_ns, (tracked.rotation, tracked.translation)
+                     if tracked.state is TrackerState.TRACKING else None)
             if self.progress:
                 self.progress('Tracking', images, source.count)
             if tracked.state is not TrackerState.TRACKING:
@@ -253,9 +288,13 @@ class _Task:
             if len(views) > 4 * most:
                 # a source that does not tell its length: every second will do from here on
                 views, step = views[::2], 2 * step
+        if self.line_delay_s:
+            moves = {view.index: path.move_a_second(stamps[view.index]) for view in views}
+            views = [replace(view, move=self.line_delay_s * move, lines=self.lines)
+                     for view in views if (move := moves[view.index]) is not None]
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
-        return _Passage(views, images, good, reason, stamps)
+        return _Passage(views, images, good, reason, stamps, path.interval_s)
 
     def best_focal(self, camera: Camera, views: list[PosedImage],
                    ) -> tuple[Camera, list[PosedImage]]:
@@ -320,8 +359,9 @@ def _refocused(model: WireframeModel, camera: Camera, views: list[PosedImage], f
     moved = []
     for view in views:
         depth = float(view.rotation[2] @ model.centre + view.translation[2])
-        moved.append(replace(view, translation=view.translation
-                             + [0.0, 0.0, (factor - 1) * depth]))
+        moved.append(replace(
+            view, translation=view.translation + [0.0, 0.0, (factor - 1) * depth],
+            move=None if view.move is None else view.move * [1, 1, 1, 1, 1, factor]))
     return _with_focal(camera, factor * camera.K[0, 0]), moved
 
 
@@ -330,6 +370,20 @@ def _posed(views: list[PosedImage], poses: Mapping[int, np.ndarray]) -> list[Pos
     return [view if view.index not in poses else replace(
         view, rotation=poses[view.index][:, :3], translation=poses[view.index][:, 3])
         for view in views]
+
+
+def _check_readout(facts: CameraFacts, source: FrameSource) -> None:
+    """Refuse what is said of a rolling shutter and could not be heeded."""
+    if facts.shutter == 'rolling' and facts.line_delay_s is None:
+        raise ArgumentError('--track does not find out how fast rows are read: state it '
+                            '(--line-delay), or leave --shutter rolling out and move slowly.')
+    if facts.line_delay_sigma_s:
+        raise ArgumentError('--track takes the line delay for exact: leave --line-delay-sigma '
+                            'out.')
+    if facts.line_delay_s and source.clock == 'nominal':
+        raise InputError(f'{source.path} has no stamps, so that nobody knows how far the object '
+                         'moves from row to row: give a bag or a video, or leave --line-delay out '
+                         'and move slowly.')
 
 
 def _begin(task: _Task, init: str | None, clicks: Any, start: Camera | None,
