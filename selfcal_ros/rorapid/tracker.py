@@ -40,6 +40,7 @@ from selfcal_ros.rorapid.estimation.track_state import (
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, LastSighting, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
+from selfcal_ros.rorapid.estimation.twin_watch import TwinWatch
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.row_motion import RowMotion
@@ -88,7 +89,7 @@ class RorapidTracker:
         self._plausibility = PlausibilityChecks(self._control, self._pose.basis, options)
         self._track_state, self._policy = TrackStateMachine(), ALONE
         self._starting: StartSearch | None = None
-        self._sighting, self._jump = LastSighting(), JumpWatch()
+        self._sighting, self._jump, self._twins = LastSighting(), JumpWatch(), TwinWatch()
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
@@ -183,6 +184,7 @@ class RorapidTracker:
         self._stamp_ns = None
         self._sighting.forget()
         self._jump.forget()
+        self._twins.forget()
         if self._method.verifier is not None:
             self._method.verifier.disown()
         self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
@@ -335,7 +337,7 @@ class RorapidTracker:
         if seeker is not None and self._policy.relocalises and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
             measured = relocalised(seeker, image, measured, self._pose.kalman.state, lost,
-                                   self._pose.proposed_covariance)
+                                   self._pose.proposed_covariance, self._twins)
         if lost:
             self._jump.forget()
         elif seeker is not None and self._policy.relocalises and (
@@ -414,6 +416,7 @@ class RorapidTracker:
             if self._pose.allowed.leaves_zoom(measured.focal_sigma):
                 self._switch('weak')
             if tracking and self._method.verifier is not None:
+                self._twins.remember(image, measured.state)
                 self._plausibility.look(image, measured, self._method.verifier.check)
             doubt = self._plausibility.text()
             reason = track.confirm(measured, tracking, doubt, options)

@@ -20,7 +20,7 @@ it also tests starts and seeks what is lost, where the options ask for that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -100,8 +100,9 @@ class SearchingEstimator(PoseMeter, Protocol):
         """Measure without corners of the texture; edges may be nearer than the covariance says."""
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  covariance: np.ndarray) -> Iterator[ObjectPose]:
-        """Propose other poses, one at a time, the cheapest first."""
+                  covariance: np.ndarray, is_other: Callable[[ObjectPose], bool],
+                  ) -> Iterator[ObjectPose]:
+        """Propose other poses, one at a time, the cheapest first; not those of another thing."""
 
     def glance(self, image: np.ndarray, measured: PoseMeasurement) -> None:
         """Learn anew what object and background look like, from a pose that is not confirmed."""

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -144,7 +144,8 @@ class RobustTracker:
         self._use_texture = options.texture and options.camera_model != 'affine'
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  covariance: np.ndarray) -> Iterator[ObjectPose]:
+                  covariance: np.ndarray, is_other: Callable[[ObjectPose], bool],
+                  ) -> Iterator[ObjectPose]:
         """
         Propose other states, one at a time, the cheapest first.
 
@@ -157,6 +158,8 @@ class RobustTracker:
             Search the whole image, not only around the expected state.
         covariance : ndarray, shape (m, m)
             Covariance of where it may be.
+        is_other : callable
+            Whether another, equal thing is at a state.
 
         Yields
         ------
@@ -179,8 +182,9 @@ class RobustTracker:
             yield from self._views.recognised(whole)
             if not (self.control.is_outlined and self.texture.patterned):
                 # what is patterned shows edges where a wrong outline would have them
-                for poses in self._arrival.poses(image, whole, covariance, self.placed):
-                    yield from poses if len(poses) == 1 else self._told_apart(
+                for seen in self._arrival.poses(image, whole, covariance, self.placed):
+                    poses = [pose for pose in seen if not is_other(pose)]
+                    yield from poses if len(poses) < 2 else self._told_apart(
                         image, poses, covariance, state)
             # without texture there are the edges alone; a slow search, and not in every image
             self._lost_images += 1

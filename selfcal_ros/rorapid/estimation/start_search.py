@@ -29,6 +29,7 @@ from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE, turned_by
 from selfcal_ros.rorapid.estimation.start_check import Support
+from selfcal_ros.rorapid.estimation.twin_watch import TWIN, TwinWatch
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
 #: A start that is not confirmed after so many images is given up; in these images other poses
@@ -197,7 +198,7 @@ def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: f
 
 def relocalised(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
                 expected: ObjectPose, lost: bool,
-                wide: Callable[[ObjectPose], np.ndarray]) -> PoseMeasurement:
+                wide: Callable[[ObjectPose], np.ndarray], twins: TwinWatch) -> PoseMeasurement:
     """
     Try other places for an object; return the measurement that is confirmed best.
 
@@ -212,23 +213,31 @@ def relocalised(method: SearchingEstimator, image: np.ndarray, measured: PoseMea
         Search everywhere.
     wide : callable
         Covariance (m, m) of a state that is proposed.
+    twins : TwinWatch
+        What was seen beside the object is another one.
 
     Returns
     -------
     PoseMeasurement
 
     """
-    for state in method.proposals(image, expected, lost, wide(expected)):
+    reason = measured.reason
+    twins.next_sought()
+    for state in method.proposals(image, expected, lost, wide(expected),
+                                  lambda pose: twins.is_known(method, pose)):
         other = method.measure(image, state, wide(state))
         if lost and other.determined and not other.recognised and method.check.sure(
                 method.check.support(image, other.state)):
             other = method.measured_anew(image, other.state, wide(other.state))
+        if other.recognised and twins.is_twin(method, image, other, wide):
+            reason = TWIN
+            continue
         if other.determined and (other.recognised, other.share) > (
                 measured.recognised, measured.share + 0.05):
             measured = other
         if measured.recognised:
-            break
-    return measured
+            return measured
+    return replace(measured, reason=reason) if reason == TWIN else measured
 
 
 def confirmed_again(method: SearchingEstimator, image: np.ndarray,
