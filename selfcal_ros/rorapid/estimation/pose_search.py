@@ -166,16 +166,17 @@ class PoseSearch:
 
     def _drawn_in(self, image: np.ndarray, states: list[ObjectPose], priors: list[PosePrior],
                   rounds: int) -> list[ObjectPose]:
-        """Let the edges draw starts to themselves, all at once."""
+        """Let the edges draw starts to themselves."""
         reach = int(np.ceil(self.options.search_most_px))
         for turn in range(rounds):
             wide = turn < _WIDE_ROUNDS
             views = views_together([self.control] * len(states), states)
             limits = self._edges.limits(reach, wide, not wide)
-            states = [fit.state for fit in fit_together(image, [
-                FitTask(self._edges, prior, SearchRound(
-                    state, view, reach if wide else _GUESS_REACH_PX, limits,
-                    clutter_weight(view))) for state, prior, view in zip(states, priors, views)])]
+            # one by one: at once their sums round otherwise, and blurred images fall either way
+            states = [fit_together(image, [FitTask(self._edges, prior, SearchRound(
+                state, view, reach if wide else _GUESS_REACH_PX, limits,
+                clutter_weight(view)))])[0].state
+                for state, prior, view in zip(states, priors, views)]
         return states
 
 
