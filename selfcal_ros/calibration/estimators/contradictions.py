@@ -27,7 +27,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import bdtr, bdtrc
 
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
@@ -86,6 +85,8 @@ class Contradictions:
         tells how probable a gross error is, and so how many tracks fall by such errors. Chance
         may take some more.
         """
+        # loaded by the few that need it
+        from scipy.optimize import minimize_scalar
         tested = self.length > VERIFYING_VIEWS
         length, lost, most, stands = (one[tested] for one in (
             self.length, self.lost, self.most, self.stands))
