@@ -397,6 +397,11 @@ REMARKS: dict[str, Phrase] = {
         'A table of tracks does not tell the size, and drivers refuse a calibration of another '
         'one.',
         'Give --image-size W H.'),
+    'points_outside': Phrase(
+        '{share:percent} % of the points lie outside of images of {width} x {height}: their size '
+        'may be stated wrongly.',
+        'A table of tracks does not tell the size, and sigmas are too small with a wrong one.',
+        'Check --image-size; x and y count from the middle of the top left pixel.'),
     'image_size_doubtful': Phrase(
         'No point lies beyond x = {right:.0f} and y = {bottom:.0f} of images of {width} x '
         '{height}: their size may be stated wrongly.',

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 MAX_TABLE_FRAMES = 60
 #: Points of a table reach beyond this share of the width or of the height.
 LEAST_FILLED = 0.8
+#: A larger share of the points of a table outside of its images means another size.
+FEW_OUTSIDE = 0.01
 #: A camera rests whose corners move by less than this share of the image diagonal.
 _RESTING = 0.001
 #: Displacement between keyframes as a share of the extent, and share of the tracks that may be
@@ -120,6 +122,10 @@ def _about_size(tracks: Tracks) -> tuple[Finding, ...]:
         return Finding('image_size_not_stated'),
     right, bottom = tracks.xy.max(axis=0, initial=0.0)
     width, height = tracks.image_size
+    outside = np.count_nonzero(((tracks.xy < -1) | (tracks.xy > (width, height))).any(axis=1))
+    if outside > FEW_OUTSIDE * len(tracks):
+        return Finding('points_outside', share=outside / len(tracks), width=width,
+                       height=height),
     if right > LEAST_FILLED * width or bottom > LEAST_FILLED * height:
         return ()
     return Finding('image_size_doubtful', width=width, height=height, right=float(right),

@@ -26,8 +26,6 @@ import cv2
 
 from msg_adapters.image import ImageDecoder
 
-import numpy as np
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
@@ -45,8 +43,6 @@ MAX_VIDEO_PIXELS = 2 ** 26
 NOMINAL_RATE_HZ = 30
 #: The header of a video may announce so many frames more than there are.
 MISCOUNTED = 5
-#: A larger share of points outside of the images means another size, or another origin.
-FEW_OUTSIDE = 0.01
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -277,8 +273,6 @@ class TracksSource(FrameSource):
             raise InputError(f'{self.path} is no table of tracks ({error}).') from None
         except csv.Error as error:
             raise InputError(f'{self.path} is no CSV file ({error}).') from None
-        if self.image_size is not None:
-            _refuse_points_outside(self.path, self._tracks.xy, self.image_size)
         self.count = len(self._tracks.frames)
         self.description = (f'tracks {self.path.name}, {len(self._tracks)} observations in '
                             f'{self.count} frames')
@@ -294,14 +288,3 @@ class TracksSource(FrameSource):
     def tracks(self) -> Tracks:
         """Return the tracks."""
         return self._tracks
-
-
-def _refuse_points_outside(path: Path, xy: np.ndarray, size: tuple[int, int]) -> None:
-    """Refuse a table whose points (N, 2) are not of images of the stated size."""
-    outside = ((xy < -1) | (xy > np.array(size))).any(axis=1)
-    if outside.mean() > FEW_OUTSIDE:
-        (left, top), (right, bottom) = xy.min(axis=0), xy.max(axis=0)
-        raise InputError(f'{100 * outside.mean():.0f} % of the points of {path} lie outside of '
-                         f'images of {size[0]} x {size[1]}: x is {left:.0f} to {right:.0f}, y is '
-                         f'{top:.0f} to {bottom:.0f}; state the size of the images with '
-                         '--image-size W H, from whose top left pixel x and y count.')

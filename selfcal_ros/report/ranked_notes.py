@@ -37,7 +37,7 @@ _DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_trusted', 'fact_unchec
           'images_rectified', 'images_shifted', 'fact_decides', 'other_camera_left_out',
           'parameters_unobservable',
           'camera_changed', 'tracks_unexplained_whole', 'image_size_not_stated',
-          'image_size_doubtful', 'fixed_camera', 'body_poses_partly',
+          'image_size_doubtful', 'points_outside', 'fixed_camera', 'body_poses_partly',
           'fixed_camera_features', 'rolling_shutter_suspected', 'line_delay_open',
           'object_misfits_frames', 'views_unconnected')
 _WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_within_segment',

@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators import one_motion, stated_facts
-from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
+from selfcal_ros.calibration.estimators.contradictions import contradictions_of
 from selfcal_ros.calibration.estimators.facts_in_the_way import preferred_by_all
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
@@ -218,7 +218,7 @@ def test_what_goes_with_the_rest_of_its_track_does_not_contradict(whole):
     fit = optimum(scene, xy=xy if whole else None)
     given = SimpleNamespace(given=Tracks(tracks.frame, tracks.track, xy, SIZE),
                             frames=tracks.frames)
-    assert abs(share_that_contradicts(fit, given) - bad.mean()) < 0.02
+    assert abs(contradictions_of(fit, given).share - bad.mean()) < 0.02
 
 
 def test_images_of_two_cameras_are_parted():

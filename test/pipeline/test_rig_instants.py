@@ -87,7 +87,7 @@ def test_tables_of_tracks_are_thinned_to_the_same_frames(tmp_path, monkeypatch):
                         lambda *_, **__: NotCalibrated('Not asked for.'))
     rng = np.random.default_rng(2)
     for name, frames in (('left', range(150)), ('right', range(3, 150))):
-        start, speed = rng.uniform(50, 400, (40, 2)), rng.uniform(-2, 2, (40, 2))
+        start, speed = rng.uniform(80, 400, (40, 2)), rng.uniform(-0.5, 0.5, (40, 2))
         lines = [f'{frame},{track},{x:.2f},{y:.2f}\n' for frame in frames
                  for track, (x, y) in enumerate(start + frame * speed)]
         (tmp_path / f'{name}.csv').write_text('frame,track,x,y\n' + ''.join(lines))
