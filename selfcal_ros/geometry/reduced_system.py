@@ -107,10 +107,9 @@ class FurtherUnknowns:
     def influence(self, system: ReducedSystem, rows: np.ndarray) -> np.ndarray:
         """Add to `ReducedSystem.influence` what rows (k, q) of these unknowns do: (N, k)."""
         moved = self.columns @ rows.T
-        own_points = np.einsum('nmk,nm->nk', system.jac_point, system.residual)
-        half = np.einsum('nij,nj->ni', system.inverse_root[system.blocks.point], own_points)
         effect = np.einsum('nmk,nm->nk', moved, system.residual)
-        effect -= np.einsum('ni,nik->nk', half, (self.through @ rows.T)[system.blocks.point])
+        effect -= np.einsum('ni,nik->nk', system.pulls_on_points(),
+                            (self.through @ rows.T)[system.blocks.point])
         influence: np.ndarray = -effect
         return influence
 
@@ -244,6 +243,13 @@ class ReducedSystem:
             rows[members[:, None], columns] = by_rest
         return rows
 
+    def pulls_on_points(self) -> np.ndarray:
+        """Return what each residual pulls its point by, over the root of its block, (N, p)."""
+        own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
+        pulls: np.ndarray = np.einsum('nij,nj->ni', self.inverse_root[self.blocks.point],
+                                      own_points)
+        return pulls
+
     def influence(self, rows: np.ndarray) -> np.ndarray:
         """
         First-order effect of every observation's residual on linear forms of the unknowns.
@@ -271,9 +277,8 @@ class ReducedSystem:
         for members, M, own in self._factors:
             local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
             through_points[members] = (M @ local.T).reshape(len(members), -1, len(rows))
-        own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
-        half = np.einsum('nij,nj->ni', self.inverse_root[self.blocks.point], own_points)
-        effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
+        effect -= np.einsum('ni,nik->nk', self.pulls_on_points(),
+                            through_points[self.blocks.point])
         influence: np.ndarray = -effect
         return influence
 

@@ -34,7 +34,8 @@ from selfcal_ros.calibration.bundle.path import VIEW_NAMES
 from selfcal_ros.calibration.bundle.rig import POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.rigs.start import RigObservations
-from selfcal_ros.calibration.uncertainty.suppositions import (joint_information,
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance,
+                                                              joint_information,
                                                               JointInformation, likely_size,
                                                               Supposition, Tested)
 from selfcal_ros.findings.finding import Finding
@@ -138,9 +139,9 @@ def steadiness(fit: RobustFit, seen: RigObservations, variance_inflation: float,
         Supposition(_OFFSET, cameras, _flow(fit, times, len(cameras))),
         Supposition(_KNOCK, POSE_NAMES * len(cameras), poses, of_views=True)], variance_inflation)
     offset = joint.test(_OFFSET)
-    found, after = offset.with_prior(likely_size(offset.value, offset.information, OFFSETS)**2)
-    response = offset.response * unknowns.free[unknowns.lens][:, None]
-    covariance = response @ (after + np.outer(found, found)) @ response.T
+    beforehand = likely_size(offset.value, offset.information, OFFSETS)**2
+    found, _ = offset.with_prior(beforehand)
+    covariance = added_covariance(fit, offset, beforehand)
 
     knocks = [(tested, k, view) for k, own in enumerate(
         np.split(joint.places[_KNOCK], len(cameras), axis=1))

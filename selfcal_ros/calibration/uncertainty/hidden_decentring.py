@@ -30,7 +30,8 @@ from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.distortion_misfit import Supposed
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
-from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance, free_response,
+                                                              joint_information, likely_size,
                                                               Supposition, Tested)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.distributions import chi2_sf
@@ -135,16 +136,16 @@ def hidden_decentring(fit: RobustFit, variance_inflation: float, field: np.ndarr
     possible = possible_decentring(fit)
     if possible is None:
         return None
-    tested, response = _asked(fit, possible, variance_inflation, field, field_px)
+    tested = _asked(fit, possible, variance_inflation, field, field_px)
     widest, spread = tested.with_prior(DECENTRING[-1]**2)
     lenses = [slice(k, k + 2) for k in range(0, len(tested.value), 2)]
     size = np.array([likely_decentring(widest[one], spread[one, one]) for one in lenses])
-    found, after = tested.with_prior(np.repeat(size, 2)**2)
+    variance = np.repeat(size, 2)**2
     return HiddenDecentring(
-        found.reshape(-1, 2), size,
+        tested.with_prior(variance)[0].reshape(-1, 2), size,
         np.array([_is_certain(tested.value[one], tested.covariance[one, one])
                   for one in lenses]),
-        response @ (after + np.outer(found, found)) @ response.T, possible.columns)
+        added_covariance(fit, tested, variance), possible.columns)
 
 
 def decentred_lens(fit: RobustFit, variance_inflation: float) -> DecentredLens:
@@ -166,7 +167,7 @@ def decentred_lens(fit: RobustFit, variance_inflation: float) -> DecentredLens:
     possible = possible_decentring(fit)
     if possible is None:
         return DecentredLens.none(fit)
-    tested, response = _asked(fit, possible, variance_inflation)
+    tested = _asked(fit, possible, variance_inflation)
     if not np.isfinite(tested.covariance).all():
         return DecentredLens.none(fit)
     values, vectors = np.linalg.eigh(tested.information)
@@ -174,18 +175,16 @@ def decentred_lens(fit: RobustFit, variance_inflation: float) -> DecentredLens:
     size, gain = most_probable_size(values, values * (vectors.T @ tested.value), DECENTRING)
     if gain <= 0:
         return DecentredLens.none(fit)
-    found, after = tested.with_prior(size**2)
+    (found, after), response = tested.with_prior(size**2), free_response(fit, tested)
     return DecentredLens(float(gain), response @ found, response @ after @ response.T)
 
 
 def _asked(fit: RobustFit, possible: Supposed, variance_inflation: float,
-           field: np.ndarray | None = None, field_px: float = 1.0) -> tuple[Tested, np.ndarray]:
-    """Ask the images for p1 and p2 of each lens; and how the free unknowns of lenses follow."""
+           field: np.ndarray | None = None, field_px: float = 1.0) -> Tested:
+    """Ask the images for p1 and p2 of each lens."""
     names = ('p1', 'p2') * (possible.columns.shape[2] // 2)
-    tested = joint_information(fit, [Supposition(_DECENTRING, names, possible.columns)],
-                               variance_inflation, field, field_px).test(_DECENTRING)
-    unknowns = fit.bundle.unknowns
-    return tested, tested.response * unknowns.free[unknowns.lens][:, None]
+    return joint_information(fit, [Supposition(_DECENTRING, names, possible.columns)],
+                             variance_inflation, field, field_px).test(_DECENTRING)
 
 
 def possible_decentring(fit: RobustFit) -> Supposed | None:

@@ -35,7 +35,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.lens import Projection
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance,
+                                                              joint_information, likely_size,
                                                               Supposition)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.robust_loss import huber_weights
@@ -97,10 +98,7 @@ def hidden_lever(fit: RobustFit, variance_inflation: float) -> HiddenLever:
     variance = 2 * points + 4 * shown
     size = likely_size(tested.value, tested.information, LEVERS,
                        -0.5 * ((gain - points - shown)**2 / variance + np.log(variance)))
-    found, after = tested.with_prior(size**2)
-    unknowns = fit.bundle.unknowns
-    response = tested.response * unknowns.free[unknowns.lens][:, None]
-    return HiddenLever(size, response @ (after + np.outer(found, found)) @ response.T)
+    return HiddenLever(size, added_covariance(fit, tested, size**2))
 
 
 def _by_lever(fit: RobustFit) -> np.ndarray:

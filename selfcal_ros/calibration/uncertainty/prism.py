@@ -30,7 +30,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.priors import ORDINARY_DECENTRING
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance, joint_information,
+                                                              Supposition)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.distributions import chi2_sf
 
@@ -81,7 +82,6 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, variance_inflation: f
         None for most lenses.
 
     """
-    unknowns = fit.bundle.unknowns
     columns, sizes, decentring = [], [], 0.0
     for lens, part, rows, free in fit.lenses():
         if {'p1', 'p2'} <= free:
@@ -98,9 +98,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, variance_inflation: f
         fit, [Supposition(_PRISM, ('s1', 's2') * len(columns), np.concatenate(columns, axis=2))],
         variance_inflation)
     tested = joint.test(_PRISM)
-    found, after = tested.with_prior(np.array(sizes))
-    response = tested.response * unknowns.free[unknowns.lens][:, None]
-    return PossiblePrism(decentring, response @ (after + np.outer(found, found)) @ response.T)
+    return PossiblePrism(decentring, added_covariance(fit, tested, np.array(sizes)))
 
 
 def _beyond_ordinary(p: np.ndarray, own: np.ndarray) -> float:

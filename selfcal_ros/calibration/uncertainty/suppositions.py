@@ -153,6 +153,41 @@ class Tested:
         covariance = np.linalg.inv(information + np.diag(1 / np.full(len(information), variance)))
         return covariance @ information @ self.value, covariance
 
+    def about_zero(self, variance: float | np.ndarray) -> np.ndarray:
+        """Return the second moments (m, m) of what `with_prior` finds: how far from zero it is."""
+        found, after = self.with_prior(variance)
+        moments: np.ndarray = after + np.outer(found, found)
+        return moments
+
+
+def free_response(fit: RobustFit, tested: Tested) -> np.ndarray:
+    """Return how the unknowns of the lens follow further ones, (k, m); those held stay."""
+    unknowns = fit.bundle.unknowns
+    response: np.ndarray = tested.response * unknowns.free[unknowns.lens][:, None]
+    return response
+
+
+def added_covariance(fit: RobustFit, tested: Tested, variance: float | np.ndarray) -> np.ndarray:
+    """
+    Return what further unknowns that an estimate lacks may do to the unknowns of its lens.
+
+    Parameters
+    ----------
+    fit : RobustFit
+    tested : Tested
+    variance : float, or ndarray of shape (m,)
+        Of the further unknowns beforehand, about zero.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        To add to the covariance of the unknowns of the lens.
+
+    """
+    response = free_response(fit, tested)
+    covariance: np.ndarray = response @ tested.about_zero(variance) @ response.T
+    return covariance
+
 
 def likely_size(value: np.ndarray, information: np.ndarray, sizes: np.ndarray,
                 further: np.ndarray | float = 0.0) -> float:

@@ -30,7 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance, joint_information,
+                                                              Supposition)
 
 _BEND = 'steady growth'
 
@@ -82,7 +83,5 @@ def uneven_growth(fit: RobustFit, variance_inflation: float = 1.0) -> UnevenGrow
     columns = (bend[bundle.view][:, None] * seen)[:, :, None]
     tested = joint_information(fit, [Supposition(_BEND, ('bend',), columns)],
                                variance_inflation).test(_BEND)
-    found, after = tested.with_prior(size**2)
-    both = after + np.outer(found, found)
-    response = tested.response * bundle.unknowns.free[bundle.unknowns.lens][:, None]
-    return UnevenGrowth(both[0, 0] * bend**2, response @ both @ response.T)
+    return UnevenGrowth(tested.about_zero(size**2)[0, 0] * bend**2,
+                        added_covariance(fit, tested, size**2))
