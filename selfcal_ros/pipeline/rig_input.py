@@ -30,7 +30,7 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import RigCalibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.pipeline.bag_source import image_topics, is_bag
+from selfcal_ros.pipeline.bag_source import COMPRESSED, image_topics, is_bag
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.excerpt import Half
 from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
@@ -130,7 +130,8 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     if len({one.name for one in found}) < len(found):
         raise ArgumentError('Two cameras have the same name; give them names, such as '
                             'left=/one/image_raw,right=/two/image_raw.')
-    if len({(Path(one.path).resolve(), one.topic, one.half) for one in found}) < len(found):
+    if len({(Path(one.path).resolve(), (one.topic or '').removesuffix(COMPRESSED), one.half)
+            for one in found}) < len(found):
         raise ArgumentError('Two cameras have the same images; give each camera its own INPUT '
                             'or topic.')
     return found

@@ -68,8 +68,8 @@ def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
     description = '; '.join(f'{one.name}: {source.description}'
                             for one, source in zip(cameras, sources))
     # distances come from the places of the cameras
-    runs = [TrackingRun(description=description, distance_stated=True,
-                        cameras={one.name: 0 for one in cameras}) for _ in targets]
+    runs = [TrackingRun(description=description, cameras={one.name: 0 for one in cameras})
+            for _ in targets]
     sessions = [RigSession(target.model, cameras, options, seed) for target in targets]
     begin_sessions(sessions, targets)
     for source, one in zip(sources, cameras):

@@ -48,8 +48,8 @@ class TrackingRun:
         Time of the tracker alone.
     last_state : str
     description : str
-    distance_stated : bool
-        Something else than the size of the model tells distances.
+    size_m : tuple of float
+        Extents of the model along its axes, metres, where they alone tell distances.
     cameras : dict of str to int
         Of several cameras: in how many images each saw the object.
 
@@ -65,7 +65,7 @@ class TrackingRun:
     seconds: float = 0.0
     last_state: str = ''
     description: str = ''
-    distance_stated: bool = False
+    size_m: tuple[float, ...] = ()
     cameras: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -91,9 +91,10 @@ class TrackingRun:
             if math.isfinite(self.rms_px):
                 lines.append(f'Edges lie {self.rms_px:.2f} px rms from the model; '
                              f'{1000 * self.seconds / self.images:.2f} ms an image.')
-            if seen and not self.distance_stated:
-                lines.append('Distances are as true as the size of the model: one camera cannot '
-                             'tell a larger object farther away.')
+            if seen and self.size_m:
+                size = ' x '.join(f'{extent:.3g}' for extent in self.size_m)
+                lines.append(f'Distances are as true as the size of the model, {size} m: one '
+                             'camera cannot tell a larger object farther away.')
         if self.cameras and self.images:
             seen_by = ', '.join(f'{name} in {count}' for name, count in self.cameras.items())
             lines.append(f'The object was seen by {seen_by}.')

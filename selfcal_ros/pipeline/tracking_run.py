@@ -143,8 +143,9 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
         If the input, a start pose or the size of the images is wrong.
 
     """
-    runs = [TrackingRun(description=source.description, distance_stated=bool(
-        target.distance_sigma_m)) for target in targets]
+    runs = [TrackingRun(description=source.description, size_m=(
+        () if target.distance_sigma_m else tuple(np.ptp(target.model.extent, axis=0).tolist())))
+        for target in targets]
     sessions = [TrackingSession(target.model, options, camera, seed) for target in targets]
     begin_sessions(sessions, targets)
     check_source(source, camera)

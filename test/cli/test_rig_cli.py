@@ -390,6 +390,8 @@ def test_two_views_in_one_image_are_calibrated_together(tmp_path):
 def test_the_same_images_are_no_two_cameras():
     with pytest.raises(ArgumentError, match='the same images'):
         rig_inputs(['drive/cam0', 'drive/../drive/cam0'], 'left,right')
+    with pytest.raises(ArgumentError, match='the same images'):
+        rig_inputs(['drive', 'drive'], 'left=/cam/image_raw,right=/cam/image_raw/compressed')
 
 
 @pytest.mark.parametrize('halves, opened', [((None, None), ['right', 'right']),

@@ -39,6 +39,7 @@ def test_the_recorded_object_is_tracked_to_its_end(capsys):
     assert selfcal('track', BAG, *OBJECT, *CAMERA) == 0
     said = capsys.readouterr().out
     assert 'Tracked in 75 of 75 images' in said and 'Written: poses.csv.' in said
+    assert 'the size of the model, 0.1 x 0.07 x 0.1 m:' in said
     poses = read_poses('poses.csv')
     truth = json.loads(Path(f'{BAG}.truth.json').read_text(encoding='utf-8'))
     true = np.array(truth['cam_from_object'])
