@@ -87,13 +87,25 @@ def test_a_side_that_is_too_long_is_said_with_its_amount():
     assert error @ np.linalg.solve(frames[-1].covariance[:3, :3], error) < 12
 
 
-def test_a_doubt_stands_while_the_pose_gives_way_to_the_model():
+@pytest.fixture(scope='module')
+def flat_part():
     made = tracked_object(36, slab(308), seed=308, supersampling=2, speed=1.0)
-    wrong, _, _ = longer_edge(0.05)(made, 0)
-    tracker, renderer = RorapidTracker(wrong, made.camera), made.renderer()
+    renderer = made.renderer()
+    return made, [made.frame(k, renderer) for k in range(36)]
+
+
+@pytest.mark.parametrize('share, said_after', ((0.05, 5), (0.1, 12)))
+def test_a_doubt_stands_while_the_pose_gives_way_to_the_model_or_leaves_its_lines_aside(
+        flat_part, share, said_after):
+    made, images = flat_part
+    wrong, _, _ = longer_edge(share)(made, 0)
+    tracker = RorapidTracker(wrong, made.camera)
     tracker.start(made.rotations[0], made.translations[0])
-    frames = [tracker.track(made.frame(k, renderer)) for k in range(36)]
-    assert all(f.state is TrackerState.DEGRADED for f in frames[5:])
+    frames = [tracker.track(image) for image in images]
+    assert all(f.state is TrackerState.DEGRADED for f in frames[said_after:])
+    name, _, said = frames[-1].doubt.partition(' of the model seems ')
+    # the pose gives way to half of a short step, and to none of a long one
+    assert name == 'The edge 7-5' and 40 * share < float(said.split()[0]) < 100 * share
 
 
 def test_a_doubt_goes_when_the_edges_fit_again():

@@ -38,6 +38,7 @@ from selfcal_ros.geometry.small_system import solved
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.estimation.moved_corner import MovedCorners
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.values.mesh_orientation import oriented
 from selfcal_ros.values.same_place import same_place
@@ -49,7 +50,7 @@ _AT_ONCE, _EVERY, _FIRST, _LATER = 5, 3, 15, 25
 #: Images of a verdict at the least, and memory of what they showed.
 _LEAST, _MEMORY = 4, 0.95
 #: Search range, and Tukey's limit at the least and at the most, pixels.
-_REACH_PX, _LIMIT_PX = 8, (1.5, 6.0)
+_REACH_PX, _LIMIT_PX = 12, (1.5, 6.0)
 #: Standard deviation of an edge, roughly, pixels.
 _EDGE_PX = 0.3
 #: A pattern stands out by so many sigmas, matters from this share on, and must explain this share
@@ -130,12 +131,14 @@ class ModelDoubt:
         self._shifts = np.ascontiguousarray(shifts.transpose(2, 1, 0)) if len(shifts) else None
         self._matters = np.array([_MATTERS[p.kind] for p in self._patterns])
         self._explains = np.array([_EXPLAINS[p.kind] for p in self._patterns])
+        self._edges = np.flatnonzero([p.kind == 'edge' for p in self._patterns])
         self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
         lines = len(self._control.visible_model.kind)
         self._images = self._looks = 0
+        self._corners = MovedCorners(len(self._edges), lines)
         self._score = np.zeros((lines, len(self._patterns)))
         self._information = np.zeros_like(self._score)
         self._square = self._weight = 0.0
@@ -190,6 +193,8 @@ class ModelDoubt:
             limit = float(np.clip(6 * fast_robust_sigma(residual[near], 0.1), *_LIMIT_PX))
         residual = np.where(w > 0, chosen - rows @ q, 0.0)
         slopes = self._slopes(state, view, at)
+        self._corners.look(offset - (rows @ q)[:, None], slopes[:, self._edges],
+                           view.primitive[at], _REACH_PX)
         pull = solved(H, rows.T @ (w[:, None] * slopes))
         own = slopes - rows @ pull
         primitive = view.primitive[at]
@@ -253,7 +258,13 @@ class ModelDoubt:
             gain > self._explains) & (np.abs(share) > self._matters)
         if self._looks < _LEAST:
             return
-        named = self._named
+        named, moved = self._named, None if out.any() else self._corners.found()
+        if moved is not None:
+            # the pose leaves the lines of that corner aside, as clutter, and is not moved by it
+            self._named, self._bias = None, np.zeros_like(self._bias)
+            self.doubt = Doubt('edge', self._patterns[self._edges[moved.pattern]].what,
+                               -moved.share, moved.sigma)
+            return
         if named is not None and not self._refuted(share[named], sigma[named]):
             out[named] = True
         if not out.any():
