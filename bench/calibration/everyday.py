@@ -37,6 +37,11 @@ NEVER_TURNS, JUSTIFIED = 'arm that only shifts', 'only_a_hint'
 PER_VIEW, FEW, NOISE_PX = 130, (35, 80), (0.08, 0.5)
 #: Seconds from view to view.
 STEP_S = (0.25, 0.5)
+#: Worlds that were found wrong once, and take too long for the tests: rows that each view reads
+#: in its own way were told as shifts, twice, and as an aspect ratio; and a view that a few gross
+#: errors link was kept.
+ONCE_WRONG = (('head on a vehicle', 2202), ('drone, straight down', 2305), ('stops often', 1502),
+              ('hand that rests', 2103))
 
 
 def troubled(robot: Robot, rng: np.random.Generator) -> tuple[Robot, dict, list[str]]:
@@ -108,11 +113,11 @@ def run(report: Report, options) -> None:
     report.section(f'Robots of everyday life, {len(seeds)} seeds each',
                    f'silent: K beyond {MAX_SIGMAS:g} sigmas, and nothing said that is about K. '
                    'Zooms have no single truth, and do not count.')
-    tasks = list(product(ROBOTS, seeds))
+    tasks = list(dict.fromkeys((*ONCE_WRONG, *product(ROBOTS, seeds))))
     outcome = dict(zip(tasks, run_seeds(one_run, tasks, options.processes)))
     rows, wrong, needless = [], [], []
     for name in ROBOTS:
-        some = {seed: outcome[name, seed] for seed in seeds}
+        some = {seed: outcome[robot, seed] for robot, seed in tasks if robot == name}
         right = [away for kind, away, _, has in some.values() if not kind and 'zoom' not in has]
         silent = [(name, seed, f'{away:.1f} sigmas', has)
                   for seed, (kind, away, told, has) in some.items()

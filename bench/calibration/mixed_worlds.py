@@ -37,8 +37,9 @@ MOTIONS = {'agv': 0.4, 'gen': 0.2, 'genroom': 0.15, 'ptu': 0.05, 'orbit': 0.1, '
 #: Worlds that were found wrong once, and take too long for the tests: for a plane that left 1.6
 #: times what pairs do; for what pairs of a fisheye show, which was no parallax; for a lever of
 #: 6 cm that was taken for a long one; with an error about a fisheye that sees but its axis; for
-#: the worse of two optima of six views; for a view of a head whose homography was wrong.
-ONCE_WRONG = (135, 32113, 67, 31043, 30057, 51009)
+#: the worse of two optima of six views; for a view of a head whose homography was wrong; with an
+#: exception where a field of distortion made an aspect ratio of 0.004 negative.
+ONCE_WRONG = (135, 32113, 67, 31043, 30057, 51009, 61077)
 #: What happens to the tracks afterwards; a quarter of the worlds has one of them.
 SPOILT = {'stabilised': further_worlds.stabilised(0.4), 'half pixels': further_worlds.rounded(0.5),
           'levels of a pyramid': further_worlds.of_levels,

@@ -116,8 +116,8 @@ def test_of_all_troubles_at_once_it_is_right():
     """
     A head, whose lever was taken for a long one behind another kind of lens.
 
-    It was 18 sigma off, and the focal length 126 %. Six more worlds, which take long, are the
-    first of `bench mixed_worlds`.
+    It was 18 sigma off, and the focal length 126 %. More worlds, which take long, are the first
+    of `bench mixed_worlds` and of `bench everyday`.
     """
     outcome = mixed_worlds.one_run(173)
 
@@ -135,22 +135,14 @@ def test_each_of_few_views_is_read_in_turn_by_its_own_motion(robot, seed):
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
-@pytest.mark.parametrize('robot, seed', [('stops often', 1502), ('legged', 2643)])
-def test_noise_of_rows_does_not_make_all_views_turn_alike(robot, seed):
+def test_noise_of_rows_does_not_make_all_views_turn_alike():
     """What seemed shared acted as a skew or an aspect ratio: 4 sigma and 4 % off, in silence."""
-    world, _ = everyday.build(robot, seed)
+    world, _ = everyday.build('legged', 2643)
     result = world.calibrated(everyday.SQUARE)
 
     assert result and world.away(result) < 2.5
     assert 'rows_by_view' in [one.kind for one in result.findings]
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
-
-
-def test_a_field_that_makes_an_aspect_ratio_negative_is_none():
-    """Nothing is stated, and a turn has an aspect ratio of 0.004: it ended in a traceback."""
-    outcome = mixed_worlds.one_run(61077)
-
-    assert outcome.refused or outcome.away < MAX_SIGMAS
 
 
 def test_a_vehicle_that_stops_often_is_no_head():
@@ -202,30 +194,3 @@ def test_a_view_that_a_few_gross_errors_link_is_left_out():
     assert left_out.tolist() == [12, 13]
     # three that hang on another by eight matches, and see much of their own, stay
     assert graph.frames[-3:].tolist() == [14, 15, 16]
-    result = world.calibrated(everyday.SQUARE)
-    assert result and world.away(result) < MAX_SIGMAS
-
-
-def test_rows_that_each_view_reads_in_its_own_way_are_no_shifts_of_fifty_pixels():
-    """
-    A head turns while it drives, in 14 views without stamps: 4.9 sigma off, said to be shifted.
-
-    One linear step told a third of the motion, which left hardly less noise than a zoom did.
-    """
-    world, _ = everyday.build('head on a vehicle', 2202)
-    result = world.calibrated(everyday.SQUARE)
-
-    assert result and world.away(result) < MAX_SIGMAS
-    kinds = [one.kind for one in result.findings]
-    assert 'rows_by_view' in kinds and 'images_shifted' not in kinds
-
-
-def test_how_a_drone_shakes_does_not_hide_by_how_much_its_rows_are_late():
-    """It was said to have shifted images, and its focal length was 1.4 % off, in 49 s."""
-    world, _ = everyday.build('drone, straight down', 2305)
-    result = world.calibrated(everyday.SQUARE)
-
-    assert result and world.away(result) < MAX_SIGMAS
-    assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.006
-    kinds = [one.kind for one in result.findings]
-    assert 'rows_by_view' in kinds and 'images_shifted' not in kinds
