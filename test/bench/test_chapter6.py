@@ -27,7 +27,7 @@ def allowed(runs):
 
 
 def test_lines_points_and_the_closed_form_lie_in_their_ellipsoids():
-    runs = 60
+    runs = 40
     sequence = sequence_si(np.random.default_rng(0), 0.0)
     truths = chapter6.true_lines(sequence)
     results = [chapter6.one_run(seed, 0.1) for seed in range(runs)]
@@ -58,7 +58,7 @@ def test_true_lines_are_the_screw_axes_of_the_pairs():
     ids=coverage.Case.name)
 def test_the_true_camera_lies_in_the_ellipsoids_of_the_stated_covariance(case):
     # all distances together know the scale of a covariance better than shares of twice the runs
-    runs = 15
+    runs = 10
     done = [r for r in (coverage.one_run(seed, case) for seed in range(runs)) if r[0] is not None]
     assert len(done) >= runs - 1
     distance, size = coverage.distances(done)
