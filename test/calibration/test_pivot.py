@@ -242,10 +242,9 @@ def test_an_arc_is_started_from_the_nearest_point_of_its_axis(monkeypatch):
     assert abs(along) < 0.05 * np.linalg.norm(started[0])
 
 
-@pytest.mark.parametrize('seed', [30, 34])
-def test_a_long_lever_is_no_free_motion(seed):
+def test_a_long_lever_is_no_free_motion():
     camera = Camera(CAMERA.K, (-0.12, 0.05, 0, 0), 640, 480)
-    sequence = head(seed, (0.0, -0.024, -0.08), 20.0, 12, 200, camera=camera)
+    sequence = head(30, (0.0, -0.024, -0.08), 20.0, 12, 200, camera=camera)
     result = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
 
     assert result.motion == 'pivot'

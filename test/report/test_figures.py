@@ -229,8 +229,9 @@ def drawn(drawings):
     {'camera': Camera(np.diag([900.0, 900, 1]))},
     {'camera': Camera([[900, 0, 400], [0, 900, 0], [0, 0, 1]], width=4000, height=2)},
     {'camera': Camera([[900, 0, 400], [0, 900, 300], [0, 0, 1]], [-5, 3, 1, 1], 800, 600)},
-    {'covariance': np.full(COVARIANCE_SHAPE, np.nan)}, {'covariance': -np.eye(*COVARIANCE_SHAPE)},
-    {'noise_sigma_px': np.nan}, {'residuals': np.full((100, 2), np.nan)}])
+    # what concerns other figures goes together
+    {'covariance': np.full(COVARIANCE_SHAPE, np.nan), 'residuals': np.full((100, 2), np.nan)},
+    {'covariance': -np.eye(*COVARIANCE_SHAPE), 'noise_sigma_px': np.nan}])
 @pytest.mark.filterwarnings('error')
 def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, broken):
     drawn(draw_figures(replace(calibration, **broken), sequence.tracks))

@@ -46,7 +46,6 @@ def stabilised(tracks):
 
 
 CASES = {
-    'drive': lambda: (recorded(0.02, drive), {'rolling_shutter'}),
     'hand': lambda: (recorded(-0.03, hand), {'rolling_shutter'}),
     'video': lambda: (recorded(0.02, hand, interval_s=1 / 30), {'rolling_shutter'}),
     'columns': lambda: (upright(recorded(0.02, hand)), {'rolling_shutter'}),

@@ -18,7 +18,6 @@ from dataclasses import replace
 from bench.tracking import tracking_jumps, tracking_starts
 from bench.tracking.tracking_runs import frame_error, WRONG
 import numpy as np
-import pytest
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -27,10 +26,9 @@ from selfcal_ros.synthetic.objects import tracked_object
 from selfcal_ros.synthetic.render import quantise
 
 
-@pytest.mark.parametrize('shape', ['step_block', 'cube'])
-def test_after_missing_images_an_object_is_tracked_where_it_is(shape):
-    """Three to six images are missing now and then: the cube was tracked on, 30 degrees off."""
-    followed = tracking_jumps.follow(shape, (3, 7), False, 0, samples=2)
+def test_after_missing_images_an_object_is_tracked_where_it_is():
+    """Three to six images are missing now and then: it was tracked on, 30 degrees off."""
+    followed = tracking_jumps.follow('cube', (3, 7), False, 0, samples=2)
     assert followed.wrong(TrackerState.TRACKING) == 0
     assert followed.count(TrackerState.TRACKING) > 0.95 * len(followed.states)
 

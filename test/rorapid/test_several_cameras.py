@@ -78,8 +78,7 @@ def test_two_cameras_know_depth_better_by_what_triangulation_gives():
     assert np.linalg.norm(rms[0][:3]) < 2e-4 and np.rad2deg(np.linalg.norm(rms[0][3:])) < 0.1
 
 
-@pytest.mark.parametrize('which', (0, 1))
-@pytest.mark.parametrize('what', ('covered', 'no image'))
+@pytest.mark.parametrize('which, what', ((0, 'covered'), (1, 'no image')))
 def test_a_camera_that_sees_nothing_for_25_images_does_no_harm(which, what):
     (truth, _), cameras, images = scene()
     rig = started(truth.model, cameras, truth)
