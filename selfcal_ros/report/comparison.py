@@ -41,9 +41,9 @@ SURE, DOUBTFUL = 0.001, 0.05
 ALIKE_PX = 1e-9
 #: Below the first nobody will notice, below the second few: the noise of a corner, and a pixel.
 SAME_PX, SMALL_PX = 0.1, 1.0
-#: Effects of parameters below this share of the largest are rounding: the root of that of the
-#: covariance.
-_RANK = 1e-6
+#: Effects of parameters below this share of the largest are rounding: the root of that of a
+#: covariance, which has been through some inversions.
+_RANK = 1e-5
 #: The same for lenses of two models, whose parameters do nearly, not exactly, the same: below it
 #: is what linearisation leaves.
 _RANK_OF_TWO = 1e-2

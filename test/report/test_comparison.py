@@ -72,6 +72,16 @@ def test_p_values_are_uniform_when_nothing_has_changed():
     assert np.mean([one.agree for one in found]) > 0.98
 
 
+def test_rounding_of_a_covariance_is_no_knowledge():
+    """Both focal lengths differed in the eleventh digit, and cameras that agree by 445 sigma."""
+    rng, root = np.random.default_rng(6), spread()
+    C = root @ root.T
+    C[1, 1] *= 1 + 3e-11
+    found = compare_cameras(camera(TRUTH), camera(TRUTH + root @ rng.standard_normal(5)), None, C)
+
+    assert found.freedom == 5 and found.joint_sigmas < 3
+
+
 def test_a_change_of_five_sigmas_is_seen_and_said():
     root = spread()
     moved = compare_cameras(camera(TRUTH), camera(TRUTH + 7 * root[:, 0]), root @ root.T,
