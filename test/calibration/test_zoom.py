@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.lens import Lens
-from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.motion import GENERAL, NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
@@ -31,7 +31,9 @@ from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, Zoom
 from selfcal_ros.calibration.estimators import parted_tracks
 from selfcal_ros.calibration.estimators.acceptance import most_agree
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
-from selfcal_ros.calibration.estimators.one_motion import _zooms_far
+from selfcal_ros.calibration.estimators.one_motion import _zooms_far, OneMotion
+from selfcal_ros.calibration.estimators.parted_tracks import calibrate_sorted
+from selfcal_ros.calibration.estimators.zoom_selection import contradicted
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.calibration.uncertainty.focal_course import (_steady_growth, focal_evidence,
                                                               gain_of_most, shape_gain, SURE)
@@ -282,6 +284,40 @@ def test_a_steady_growth_may_be_steady_in_another_measure():
     assert (np.abs(result.focal.fx - fx) < 3 * result.focal.sigma).all()
     # the bend is no more than the difference of the two
     assert result.sigma['cx'] < 2 and (result.focal.sigma < 0.004 * fx).all()
+
+
+def test_a_growth_that_is_hinted_at_is_in_the_sigmas():
+    # too little to be believed; the camera is that of a constant focal length
+    rng = np.random.default_rng([4, 18])
+    scale = 1 + 0.004 * np.linspace(-1, 1, VIEWS)
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=80), scale, rng)
+    facts = CameraFacts(aspect_ratio=1.0, skew=0.0)
+    result = calibrate(sequence.tracks, motion='planar', facts=facts)
+    stated = calibrate(sequence.tracks, motion='planar', facts=replace(facts, focal='constant'))
+    assert result.focal is None
+    np.testing.assert_allclose(result.camera.K, stated.camera.K, rtol=0.005)
+    assert 1.2 * stated.sigma['cy'] < result.sigma['cy'] < 2 * stated.sigma['cy']
+    assert abs(result.camera.K[1, 2] - sequence.camera.K[1, 2]) < 1.5 * result.sigma['cy']
+
+
+def test_tracks_are_not_parted_where_a_zoom_explains_what_is_still():
+    # some that walk were sorted out, and the others stood still, as those of a zoom of 2 % do
+    rng = np.random.default_rng([0, 19])
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=100),
+                      1 + 0.01 * np.linspace(-1, 1, VIEWS), rng)
+    given = sequence.tracks
+    walks = rng.normal(0, 3, given.xy.shape) * (given.track % 8 == 0)[:, None]
+    tracks = replace(given, xy=given.xy + walks)
+    graph = build_view_graph(tracks, np.random.default_rng(0))
+    facts = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
+    problem = replace(problem_of(graph, tracks.image_size, facts), motion=NEARLY_PLANAR)
+    fit = OneMotion(problem, graph, [], None)._first[0]
+
+    def from_still(*_):
+        raise AssertionError('calibrated from still tracks')
+
+    assert contradicted(fit, problem)
+    assert calibrate_sorted(fit, problem, graph, from_still) is None
 
 
 def test_a_true_zoom_among_many_gross_errors_is_refused():

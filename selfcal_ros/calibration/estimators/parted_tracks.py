@@ -32,7 +32,8 @@ from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
 from selfcal_ros.calibration.estimators.shutter_choice import timed
-from selfcal_ros.calibration.estimators.zoom_selection import may_zoom, near_state, zoomed_fit
+from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
+                                                               near_state, zoomed_fit)
 from selfcal_ros.calibration.initialisation.multi_start import GOOD_ENOUGH
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -101,12 +102,15 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
             alone and alone not in [one.kind for one in findings]):
         return None
     sorted_tracks, still = found
+    if rival is None:
+        # two cameras, or one that zooms, part the tracks as well: those are asked for next
+        if sorted_tracks.still_share < LEAST_STILL and _is_zoom_or_two(
+                fit, sorted_tracks, problem, graph, given):
+            return None
+        if may_zoom(problem) and contradicted(fit, problem):
+            rival = zoomed_fit(fit, problem.instants)
     # what stands still without a zoom stands still with it, too, if there is one
     if rival is not None and explains_all(rival, still, given, sorted_tracks.labels):
-        return None
-    # two cameras, or one that zooms, part the tracks as well: those are asked for next
-    if rival is None and sorted_tracks.still_share < LEAST_STILL and _is_zoom_or_two(
-            fit, sorted_tracks, problem, graph, given):
         return None
     # what is explained is no outlier, and has no vote any more
     rest = replace(graph, tracks=sorted_tracks.static, given=None,

@@ -308,7 +308,9 @@ def _assess(found: RotationFit, may_miss: bool) -> Calibration | NoEstimate:
         return refusal
     bundle, motion = fit.bundle, fit.motion
     choices = lens.excess + decided.covariance(len(fit.state.lens), bundle.unknowns.free)
-    assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
+    instants = tuple(frames.astype(float).tolist()) if stated.focal == 'auto' else ()
+    assessed = rotation_corrections(may_miss, choices, instants).applied_to(
+        AssessedEstimate.of(fit, size))
     inner, variance_inflation = assessed.covariance, assessed.variance_inflation
     state, camera = assessed.state, assessed.state.camera(*size)
     course = focal_course(fit, state, frames, inner, variance_inflation, assessed.growth)

@@ -19,12 +19,13 @@ import numpy as np
 
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
-    allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior, AssessedEstimate,
-    Chain)
+    allow_for_uneven_ground, allow_for_uneven_growth, allowing_for_growth, apply_lens_posterior,
+    AssessedEstimate, Chain)
 from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 
 
-def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
+def rotation_corrections(may_miss: bool, choices: np.ndarray,
+                         instants: tuple[float, ...] = ()) -> Chain:
     """
     Return what the covariance of rotations has to allow for.
 
@@ -34,6 +35,8 @@ def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
         Whether the camera may miss the point that it turns about.
     choices : ndarray, shape (k, k)
         Covariance that choices on the way to the optimum add.
+    instants : tuple of float
+        Of the views, where the focal length may have varied.
 
     Returns
     -------
@@ -44,7 +47,8 @@ def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
         return found.widened(choices)
 
     return Chain((allow_for_distortion_misfit, allow_for_segments, allow_for_choices,
-                  allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior,
+                  allowing_for_growth(instants), allow_for_uneven_ground,
+                  allow_for_uneven_growth, apply_lens_posterior,
                   allow_for_hidden_decentring, allow_for_prism,
                   *((_allow_for_lever,) if may_miss else ())))
 

@@ -30,11 +30,12 @@ from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
                                                              LENS_MODEL)
 from selfcal_ros.calibration.estimators.stated_lens import contradicted_lens
+from selfcal_ros.calibration.estimators.zoom_selection import may_vary
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
-    allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior, AssessedEstimate,
-    Chain)
+    allow_for_uneven_ground, allow_for_uneven_growth, allowing_for_growth, apply_lens_posterior,
+    AssessedEstimate, Chain)
 from selfcal_ros.calibration.uncertainty.points_ahead import points_ahead
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
@@ -65,7 +66,9 @@ def corrections(model: ModelDecision, problem: SelfCalibrationProblem) -> Chain:
         return _with_points_ahead(found, problem.motion.fixed_pivot)
 
     return Chain((allow_for_distortion_misfit, allow_for_segments, allow_for_choices,
-                  allow_for_uneven_ground, allow_for_uneven_growth, apply_lens_posterior,
+                  allowing_for_growth(problem.instants if may_vary(problem) else ()),
+                  allow_for_uneven_ground, allow_for_uneven_growth,
+                  apply_lens_posterior,
                   *((count_points_ahead,) if problem.is_weak else ()),
                   allow_for_hidden_decentring, allow_for_prism))
 

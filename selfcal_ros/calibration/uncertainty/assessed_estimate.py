@@ -40,7 +40,8 @@ from selfcal_ros.calibration.uncertainty.hidden_decentring import (
 from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, LensPosterior
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.uneven_ground import uneven_ground
-from selfcal_ros.calibration.uncertainty.uneven_growth import uneven_growth, UnevenGrowth
+from selfcal_ros.calibration.uncertainty.uneven_growth import (possible_growth, uneven_growth,
+                                                               UnevenGrowth)
 from selfcal_ros.findings.finding import Finding
 
 
@@ -147,6 +148,15 @@ def allow_for_uneven_growth(found: AssessedEstimate) -> AssessedEstimate:
     """Allow for a focal length that does not grow quite steadily."""
     growth = uneven_growth(found.fit, found.variance_inflation)
     return found if growth is None else replace(found, growth=growth).widened(growth.covariance)
+
+
+def allowing_for_growth(instants: tuple[float, ...]) -> Correction:
+    """Return what allows for a focal length that may grow; by no instants, for nothing."""
+    def allow_for_growth(found: AssessedEstimate) -> AssessedEstimate:
+        if found.fit.motion.zoom is not None or not instants:
+            return found
+        return found.widened(possible_growth(found.fit, instants, found.variance_inflation))
+    return allow_for_growth
 
 
 def apply_lens_posterior(found: AssessedEstimate) -> AssessedEstimate:

@@ -20,7 +20,8 @@ Where the focal length grows by as much in every interval, b is -r² / 2. Where 
 so, b is r² / 2. The estimate takes b for zero. With a zoom of a tenth that is 0.1 % of the focal
 length. Where turns and translations hide it, principal points follow. So b has a standard
 deviation of r² / 2, and one step tells what the images say of it. What it may do is added to the
-covariance of the camera.
+covariance of the camera. So is a growth r itself that the images hint at, where the estimate has
+none: too little, or too few tracks say so to believe it.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance, joint_information,
-                                                              Supposition)
+from selfcal_ros.calibration.bundle.zoom import ZoomModel
+from selfcal_ros.calibration.uncertainty.suppositions import (added_covariance, free_response,
+                                                              joint_information, Supposition,
+                                                              Tested)
 
-_BEND = 'steady growth'
+#: A growth that is so many sigmas from none is held by the sigmas of the camera.
+DOUBTFUL_SIGMAS = 2.5
 
 
 @dataclass(frozen=True)
@@ -71,17 +75,47 @@ def uneven_growth(fit: RobustFit, variance_inflation: float = 1.0) -> UnevenGrow
         None where the focal length does not grow steadily.
 
     """
-    model, zoom, bundle = fit.motion.zoom, fit.state.zoom, fit.bundle
+    model, zoom = fit.motion.zoom, fit.state.zoom
     if model is None or zoom is None or not model.is_steady:
         return None
     size = 0.5 * model.rate_of(zoom.log_focal)**2
     if not size:
         return None
     bend = model.course**2 - np.mean(model.course**2)
-    # a magnification about the principal point, of all that a view sees
-    seen = bundle.xy + fit.linearisation.residual - fit.state.lens.values[2:4]
-    columns = (bend[bundle.view][:, None] * seen)[:, :, None]
-    tested = joint_information(fit, [Supposition(_BEND, ('bend',), columns)],
-                               variance_inflation).test(_BEND)
+    tested = _tested(fit, bend, variance_inflation)
     return UnevenGrowth(tested.about_zero(size**2)[0, 0] * bend**2,
                         added_covariance(fit, tested, size**2))
+
+
+def possible_growth(fit: RobustFit, instants: tuple[float, ...],
+                    variance_inflation: float = 1.0) -> np.ndarray:
+    """
+    Ask the images of an optimum whether a focal length grows that was taken for constant.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum of constant focal length.
+    instants : tuple of float
+        Of `ZoomModel`.
+    variance_inflation : float
+        Variance of the estimate over that with independent errors of the images.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        To add to the covariance of the unknowns of the lens; zero where nothing hints at it.
+
+    """
+    tested = _tested(fit, ZoomModel(instants, 0.0).course, variance_inflation)
+    shift = (free_response(fit, tested) @ tested.value) * (tested.sigmas > DOUBTFUL_SIGMAS)
+    return np.outer(shift, shift)
+
+
+def _tested(fit: RobustFit, course: np.ndarray, variance_inflation: float) -> Tested:
+    """Test whether the log of the focal length has a part that follows a course (V,)."""
+    # a magnification about the principal point, of all that a view sees
+    seen = fit.bundle.xy + fit.linearisation.residual - fit.state.lens.values[2:4]
+    columns = (course[fit.bundle.view][:, None] * seen)[:, :, None]
+    return joint_information(fit, [Supposition('growth', ('growth',), columns)],
+                             variance_inflation).test('growth')
