@@ -49,8 +49,9 @@ from selfcal_ros.values.wireframe import WireframeModel
 _AT_ONCE, _EVERY, _FIRST, _LATER = 5, 3, 15, 25
 #: Images of a verdict at the least, and memory of what they showed.
 _LEAST, _MEMORY = 4, 0.95
-#: Search range, and Tukey's limit at the least and at the most, pixels.
-_REACH_PX, _LIMIT_PX = 12, (1.5, 6.0)
+#: Search range, the same for a corner that is elsewhere, and Tukey's limit at the least and at the
+#: most, pixels.
+_REACH_PX, _FAR_PX, _LIMIT_PX = 8, 12, (1.5, 6.0)
 #: Standard deviation of an edge, roughly, pixels.
 _EDGE_PX = 0.3
 #: A pattern stands out by so many sigmas, matters from this share on, and must explain this share
@@ -172,10 +173,12 @@ class ModelDoubt:
             return
         projection = self._control.projection
         rows = projection.rows(state, view.projected, view.normal)[at] @ self.basis
-        edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at],
-                                            _REACH_PX), 3, self._least)
-        offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
-        offset = np.where(np.isfinite(offset), offset, 1e6)
+        profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], _FAR_PX)
+        beyond = _FAR_PX - _REACH_PX
+        offset, far = (find_edgels(part, 3, self._least).offset
+                       - BOW_OF_LANES * view.curvature[at][:, None]
+                       for part in (profiles[:, beyond:-beyond], profiles))
+        offset, far = (np.where(np.isfinite(one), one, 1e6) for one in (offset, far))
         weight = clutter_weight(view)[at] / (1 + (6 / np.maximum(view.end_px[at], 1.0))**2)
         rows, prior = self._with_velocity(rows, view.projected.pixels[at])
         q, limit = np.zeros(rows.shape[1]), _LIMIT_PX[1]
@@ -193,8 +196,8 @@ class ModelDoubt:
             limit = float(np.clip(6 * fast_robust_sigma(residual[near], 0.1), *_LIMIT_PX))
         residual = np.where(w > 0, chosen - rows @ q, 0.0)
         slopes = self._slopes(state, view, at)
-        self._corners.look(offset - (rows @ q)[:, None], slopes[:, self._edges],
-                           view.primitive[at], _REACH_PX)
+        self._corners.look(far - (rows @ q)[:, None], slopes[:, self._edges],
+                           view.primitive[at], _FAR_PX)
         pull = solved(H, rows.T @ (w[:, None] * slopes))
         own = slopes - rows @ pull
         primitive = view.primitive[at]
