@@ -38,10 +38,10 @@ PER_VIEW, FEW, NOISE_PX = 130, (35, 80), (0.08, 0.5)
 #: Seconds from view to view.
 STEP_S = (0.25, 0.5)
 #: Worlds that were found wrong once, and take too long for the tests: rows that each view reads
-#: in its own way were told as shifts, twice, and as an aspect ratio; and a view that a few gross
-#: errors link was kept.
+#: in its own way were told as shifts, twice, as an aspect ratio, and not at all; and a view that a
+#: few gross errors link was kept.
 ONCE_WRONG = (('head on a vehicle', 2202), ('drone, straight down', 2305), ('stops often', 1502),
-              ('hand that rests', 2103))
+              ('round an object', 108), ('hand that rests', 2103))
 
 
 def troubled(robot: Robot, rng: np.random.Generator) -> tuple[Robot, dict, list[str]]:
