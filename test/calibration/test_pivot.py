@@ -144,10 +144,9 @@ def test_without_a_lever_it_is_a_rotation():
     assert away(result) < 4
 
 
-@pytest.mark.parametrize('seed', [50, 57])
-def test_a_lever_too_short_to_be_seen_is_in_the_sigmas(seed):
+def test_a_lever_too_short_to_be_seen_is_in_the_sigmas():
     # 1 cm before points at 1 to 6 m, turned by 6 degrees: -3.7 px of f in silence before
-    result = calibrate(head(seed, lever=(0, 0.003, 0.01), turn_deg=6.0).tracks, facts=STRAIGHT)
+    result = calibrate(head(50, lever=(0, 0.003, 0.01), turn_deg=6.0).tracks, facts=STRAIGHT)
 
     assert result.motion == 'rotation'
     assert away(result) < 3
