@@ -96,7 +96,7 @@ def test_rows_may_be_read_in_turn_of_shifted_images():
 
 @pytest.mark.parametrize('kind, readout_s', [(hand, 0.0), (drive, 0.02), (turn, 0.02)])
 def test_images_that_stand_still_are_not_shifted(kind, readout_s):
-    tracks, camera, _ = shifted(kind, 2, 0.0, readout_s=readout_s)
+    tracks, camera, _ = shifted(kind, 2, 0.0, readout_s=readout_s, points=150)
     result = calibrate(tracks, facts=SQUARE)
 
     assert_true(result, camera, 0.0015)
