@@ -216,6 +216,12 @@ class Tracks:
         point = np.unique(self.track, return_inverse=True)[1]
         return self.select(of_longest(view, point, per_view))
 
+    def thinned(self, per_view: int) -> Tracks:
+        """Keep every second track, or every third and so on, so that so many a view are left."""
+        point = np.unique(self.track, return_inverse=True)[1]
+        every = len(self) // (per_view * max(len(self.frames), 1))
+        return self.select(point % every == 0) if every > 1 else self
+
     def __getstate__(self) -> dict[str, object]:
         """Leave out what is found again, for who sends tracks to another process."""
         return {name: value for name, value in vars(self).items() if name != '_rows'}

@@ -32,16 +32,17 @@ SIZE = (1280, 720)
 STRAIGHT = CameraFacts(distortion='none')
 
 
-def _head(seed, k1=0.0, axes=(1, 1, 0.5), shift=0.0, noise_px=0.2, turn_deg=12.0, views=8):
+def _head(seed, k1=0.0, axes=(1, 1, 0.5), shift=0.0, noise_px=0.2, turn_deg=12.0, views=8,
+          points=500):
     """Make a scene around a pan-tilt head."""
     rng = np.random.default_rng(seed)
     camera = Camera([[900, 0, 650], [0, 910, 350], [0, 0, 1]], [k1, 0.02 * (k1 != 0), 0, 0],
                     *SIZE)
-    rays = rng.normal(size=(500, 3)) * [0.7, 0.5, 0] + [0, 0, 1]
+    rays = rng.normal(size=(points, 3)) * [0.7, 0.5, 0] + [0, 0, 1]
     R = rotation_matrix(np.radians(turn_deg) * rng.normal(size=(views, 3)) * axes)
     centres = shift * rng.normal(size=(views, 3))
     poses = np.concatenate([R, -R @ centres[:, :, None]], axis=2)
-    return observe(rng, camera, poses, rays * rng.uniform(3, 9, (500, 1)), noise_px,
+    return observe(rng, camera, poses, rays * rng.uniform(3, 9, (points, 1)), noise_px,
                    only_inside=True)
 
 
@@ -189,21 +190,24 @@ def test_homographies_of_a_long_drive_are_of_each_view_alone():
     assert homographies.covariance.shape == (119, 9, 9)
 
 
+@pytest.mark.parametrize('views, of_share', [(60, rotation.STRETCH), (8, 8)])
 @pytest.mark.parametrize('shift, hopeless', [(0.0, False), (0.5, True)])
-def test_a_stretch_of_a_long_recording_tells_whether_it_turns(monkeypatch, shift, hopeless):
-    """Only where it may turn are all views ever looked at."""
+def test_a_share_of_views_and_tracks_tells_whether_it_turns(monkeypatch, shift, hopeless, views,
+                                                            of_share):
+    """Only where it may turn are all of them ever looked at."""
     looked_at = []
     whole = rotation.rotation_homographies
     monkeypatch.setattr(rotation, 'rotation_homographies', lambda tracks: (
-        looked_at.append(len(tracks.frames)), whole(tracks))[1])
-    tracks = _head(5, shift=shift, views=60).tracks
+        looked_at.append(tracks), whole(tracks))[1])
+    tracks = _head(5, shift=shift, views=views, points=1000).tracks
 
     found = fit_rotations(tracks, SIZE, CameraFacts(skew=0.0, distortion='none'), 20 * 0.2)
 
-    assert looked_at == [rotation.STRETCH] + [60] * (not hopeless)
+    assert [len(one.frames) for one in looked_at] == [of_share] + [views] * (not hopeless)
+    assert len(np.unique(looked_at[0].track)) < 0.6 * len(np.unique(tracks.track))
     assert bool(found) is not hopeless
     if not hopeless:
-        assert len(found.frames) == 60
+        assert len(found.frames) == views
 
 
 @pytest.mark.parametrize('share', [0.0, 0.02])

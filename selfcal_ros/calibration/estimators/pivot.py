@@ -45,7 +45,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 ModelDecision)
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
-from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
+from selfcal_ros.calibration.estimators.rotation import (RotationFit, STRETCH,
+                                                         STRETCH_TRACKS_PER_VIEW)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, ShutterDecision
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
                                                                near_state, settle_zoom,
@@ -303,7 +304,7 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     """
     Tell what a camera that only turned would leave of the images, in closed form.
 
-    Of a long recording a stretch in the middle is asked.
+    Of a long recording a stretch in the middle is asked, of many tracks a share.
 
     Parameters
     ----------
@@ -319,7 +320,8 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     """
     middle = max(len(graph.frames) // 2 - STRETCH // 2, 0)
     frames = graph.frames[middle:middle + STRETCH]
-    seen = Observations.of(graph.tracks.in_frames(frames), frames)
+    tracks = graph.tracks.in_frames(frames).thinned(STRETCH_TRACKS_PER_VIEW)
+    seen = Observations.of(tracks, frames)
     blocks, rays = PointBlocks(seen.point, seen.view), all_rays(camera, seen.xy)
     rotations = np.full((len(frames), 3, 3), np.nan)
     rotations[0] = np.eye(3)

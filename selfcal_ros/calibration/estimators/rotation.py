@@ -90,8 +90,8 @@ MAX_SKEW_FRACTION = 0.2
 #: Fewer views tell too little of shifts, and these leave no more than so many times the noise of
 #: epipolar geometry, which they do not touch.
 MIN_VIEWS_OF_SHIFTS, MAX_NOISE_OF_SHIFTS = 6, 1.1
-#: Views of a stretch that tells whether there is any hope of a rotation.
-STRETCH = 24
+#: Views of a stretch that tells whether there is any hope of a rotation, and tracks of a view.
+STRETCH, STRETCH_TRACKS_PER_VIEW = 24, 100
 #: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
@@ -219,16 +219,15 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     Explain views by rotations alone; see `calibrate_rotating`.
 
     Where the first start leaves more than `hopeless_px` no other is tried. Nor is it where a
-    stretch of the views leaves so much.
+    stretch of the views leaves so much, or a share of the tracks.
     """
     tracks = tracks.with_at_least(2)
     if len(tracks.frames) < 2:
         return NoEstimate('too_few_images_share_points')
-    middle = len(tracks.frames) // 2
-    if hopeless_px < np.inf and middle >= STRETCH:
-        # a stretch of a long recording tells as much, and sooner
-        stretch = tracks.in_frames(tracks.frames[middle - STRETCH // 2:middle + STRETCH // 2])
-        few = fit_rotations(stretch, size, facts, hopeless_px, varying)
+    # a share of many views and tracks tells as much, and sooner
+    share = tracks_of_stretch(tracks) if hopeless_px < np.inf else tracks
+    if len(share) < len(tracks):
+        few = fit_rotations(share, size, facts, hopeless_px, varying)
         if isinstance(few, NoEstimate) and few.kind == 'moved_not_rotated':
             return few
     frames, homographies, sigma_px = rotation_homographies(tracks)
@@ -252,6 +251,15 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     started = best_rotation_start(problem, motion, hopeless_px)
     return started if isinstance(started, NoEstimate) else RotationFit(
         problem, motion, *started, epipolar_noise(tracks, frames))
+
+
+def tracks_of_stretch(tracks: Tracks) -> Tracks:
+    """Return the share of tracks that tells whether there is any hope of a rotation."""
+    frames = tracks.frames
+    if len(frames) >= 2 * STRETCH:
+        first = len(frames) // 2 - STRETCH // 2
+        tracks = tracks.in_frames(frames[first:first + STRETCH])
+    return tracks.thinned(STRETCH_TRACKS_PER_VIEW)
 
 
 def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = False,
