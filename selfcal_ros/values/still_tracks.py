@@ -29,12 +29,14 @@ import numpy as np
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.values.tracks import Tracks
 
-#: A track is still where its middle distance from its middle place, and what it goes from its
-#: first half to its second, are less than so many times the noise, within these bounds in pixels;
-#: and less than this share of the way that moving ones go meanwhile. One that goes so many times
-#: further moves.
+#: A track is still where three quarters of its positions are near its middle place, and what it
+#: goes from its first half to its second is little: less than so many times the noise, within
+#: these bounds in pixels; and less than this share of the way that moving ones go meanwhile. One
+#: that goes so many times further moves.
 STILL_SIGMAS, STILL_PX, STILL_SHARE_OF_WAY = 2.5, (0.5, 2.0), 0.06
 MOVES = 2.0
+#: Of a normal distribution in the plane, the median distance over that of the third quartile.
+TO_MEDIAN = 0.7071
 #: Shorter ways of the others tell nothing, pixels.
 LEAST_WAY_PX = 6.0
 #: Where more than this share of the tracks stands still, nothing moves.
@@ -112,8 +114,9 @@ class TrackExtents:
         xy = tracks.xy
         names, first, count = np.unique(tracks.track, return_index=True, return_counts=True)
         of = np.repeat(np.arange(len(names)), count)
-        scatter = _middle(np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1), of,
-                          first, count)
+        away = np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1)
+        # a camera that comes back, as to two views of three, has not stood still meanwhile
+        scatter = TO_MEDIAN * away[np.lexsort((away, of))][first + 3 * count // 4]
         limit = float(np.clip(STILL_SIGMAS * _noise_px(xy, of), *STILL_PX))
         return cls(names, first, count, of, np.maximum(scatter, _moved(xy, of, first, count)),
                    limit)

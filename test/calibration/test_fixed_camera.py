@@ -95,6 +95,23 @@ def test_nothing_is_set_aside_where_the_camera_moves():
         assert find_still_tracks(tracks) is None
 
 
+@pytest.mark.parametrize('at_home', [(0, 2), (0, 1, 2, 5, 6, 7)])
+def test_nothing_stands_still_before_a_camera_that_comes_back(at_home):
+    """Two of three views were alike: what they show was taken for still, and refused."""
+    rng = np.random.default_rng(4)
+    views, points = max(at_home) + 1, 110
+    home = rng.uniform([300, 100], [600, 400], (points, 2))
+    away = home - [300, 40] + rng.uniform(-30, 30, (points, 2))
+    frame, track = np.divmod(np.arange(views * points), points)
+    xy = np.where(np.isin(frame, at_home)[:, None], home[track], away[track])
+    xy += rng.normal(0, 0.2, xy.shape)
+    xy[::25] += rng.uniform(-40, 40, xy[::25].shape)
+    tracks = Tracks(frame, track, xy, (640, 480))
+
+    assert find_still_tracks(tracks) is None
+    assert not TrackExtents.measured(tracks).nothing_moves
+
+
 def test_a_flat_disc_calibrates_with_the_principal_point_and_is_named_without():
     tracks = _tracks(8, 18.0, 50, wall=100)
     result = calibrate(tracks, facts=CameraFacts(principal_point=CENTRE, **SQUARE))
