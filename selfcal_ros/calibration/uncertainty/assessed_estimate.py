@@ -153,7 +153,7 @@ def allow_for_uneven_growth(found: AssessedEstimate) -> AssessedEstimate:
 def allowing_for_growth(instants: tuple[float, ...]) -> Correction:
     """Return what allows for a focal length that may grow; by no instants, for nothing."""
     def allow_for_growth(found: AssessedEstimate) -> AssessedEstimate:
-        if found.fit.motion.zoom is not None or not instants:
+        if not instants or found.fit.motion.zoom is not None:
             return found
         return found.widened(possible_growth(found.fit, instants, found.variance_inflation))
     return allow_for_growth
