@@ -18,6 +18,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
@@ -60,10 +61,10 @@ def test_steps_run_one_after_another(monkeypatch):
 
 def test_motions_add_steps_of_their_own():
     model = ModelDecision(None, np.ones(2, bool), (), None, np.eye(2), True, 1.0, 2 * np.eye(2))
-    problems = [SimpleNamespace(motion=motion, is_weak=motion is PIVOT)
-                for motion in (GENERAL, PIVOT)]
+    problems = [SimpleNamespace(motion=motion, is_weak=motion is PIVOT, instants=(0.0, 1.0),
+                                facts=CameraFacts()) for motion in (GENERAL, PIVOT)]
     general, pivot = (corrections(model, problem).steps for problem in problems)
-    assert len(general) == len(SHARED) + 1 and len(pivot) == len(SHARED) + 2
+    assert len(general) == len(SHARED) + 2 and len(pivot) == len(SHARED) + 3
     # what was chosen on the way counts as often as errors count
     # but for a line delay, which holds them
     assert general[2](estimate()).covariance[0, 0] == 1 + CLUSTERS.variance_inflation + 2
