@@ -116,7 +116,7 @@ class TrackExtents:
         of = np.repeat(np.arange(len(names)), count)
         away = np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1)
         # a camera that comes back, as to two views of three, has not stood still meanwhile
-        scatter = TO_MEDIAN * away[np.lexsort((away, of))][first + 3 * count // 4]
+        scatter = TO_MEDIAN * _ordered(away, of)[first + 3 * count // 4]
         limit = float(np.clip(STILL_SIGMAS * _noise_px(xy, of), *STILL_PX))
         return cls(names, first, count, of, np.maximum(scatter, _moved(xy, of, first, count)),
                    limit)
@@ -191,9 +191,15 @@ def _middles(xy: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarra
 def _middle(values: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarray,
             ) -> np.ndarray:
     """Return the median of every track, (P,): the mean of the two in the middle."""
-    ordered = values[np.lexsort((values, of))]
+    ordered = _ordered(values, of)
     middle: np.ndarray = (ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2
     return middle
+
+
+def _ordered(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Return the values of every track by their size, one track after the other."""
+    ordered: np.ndarray = values[np.lexsort((values, of))]
+    return ordered
 
 
 def _moved(xy: np.ndarray, of: np.ndarray, first: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 ModelDecision)
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
-from selfcal_ros.calibration.estimators.rotation import (RotationFit, STRETCH,
+from selfcal_ros.calibration.estimators.rotation import (middle_stretch, RotationFit,
                                                          STRETCH_TRACKS_PER_VIEW)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, ShutterDecision
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
@@ -318,8 +318,7 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
         The median misfit over the noise of pairs; infinite where views share too few points.
 
     """
-    middle = max(len(graph.frames) // 2 - STRETCH // 2, 0)
-    frames = graph.frames[middle:middle + STRETCH]
+    frames = middle_stretch(graph.frames)
     tracks = graph.tracks.in_frames(frames).thinned(STRETCH_TRACKS_PER_VIEW)
     seen = Observations.of(tracks, frames)
     blocks, rays = PointBlocks(seen.point, seen.view), all_rays(camera, seen.xy)

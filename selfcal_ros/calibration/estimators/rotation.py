@@ -255,11 +255,15 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
 
 def tracks_of_stretch(tracks: Tracks) -> Tracks:
     """Return the share of tracks that tells whether there is any hope of a rotation."""
-    frames = tracks.frames
-    if len(frames) >= 2 * STRETCH:
-        first = len(frames) // 2 - STRETCH // 2
-        tracks = tracks.in_frames(frames[first:first + STRETCH])
+    if len(tracks.frames) >= 2 * STRETCH:
+        tracks = tracks.in_frames(middle_stretch(tracks.frames))
     return tracks.thinned(STRETCH_TRACKS_PER_VIEW)
+
+
+def middle_stretch(frames: np.ndarray) -> np.ndarray:
+    """Return the frames in the middle, as many as tell of a rotation; all, if they are fewer."""
+    first = max(len(frames) // 2 - STRETCH // 2, 0)
+    return frames[first:first + STRETCH]
 
 
 def judge_rotations(found: RotationFit, may_zoom: bool = True, may_miss: bool = False,

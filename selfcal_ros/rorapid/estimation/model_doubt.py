@@ -38,7 +38,7 @@ from selfcal_ros.geometry.small_system import solved
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
-from selfcal_ros.rorapid.estimation.moved_corner import MovedCorners
+from selfcal_ros.rorapid.estimation.moved_corner import MEMORY, MovedCorners, STEP
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.values.mesh_orientation import oriented
 from selfcal_ros.values.same_place import same_place
@@ -47,8 +47,8 @@ from selfcal_ros.values.wireframe import WireframeModel
 #: Images that are looked at: each one at first, until so many; then every so many, until so many
 #: looks and while in doubt; then every so many (so seldom that the time of 95 % is not touched).
 _AT_ONCE, _EVERY, _FIRST, _LATER = 5, 3, 15, 25
-#: Images of a verdict at the least, and memory of what they showed.
-_LEAST, _MEMORY = 4, 0.95
+#: Images of a verdict at the least.
+_LEAST = 4
 #: Search range, the same for a corner that is elsewhere, and Tukey's limit at the least and at the
 #: most, pixels.
 _REACH_PX, _FAR_PX, _LIMIT_PX = 8, 12, (1.5, 6.0)
@@ -203,10 +203,10 @@ class ModelDoubt:
         primitive = view.primitive[at]
         size = len(self._score)
         within = (np.arange(size)[:, None] == primitive) * w
-        self._score = _MEMORY * self._score + (within * residual) @ own
-        self._information = _MEMORY * self._information + within @ (own * own)
-        self._square = _MEMORY * self._square + float(w @ residual**2)
-        self._weight = _MEMORY * self._weight + float(w.sum())
+        self._score = MEMORY * self._score + (within * residual) @ own
+        self._information = MEMORY * self._information + within @ (own * own)
+        self._square = MEMORY * self._square + float(w @ residual**2)
+        self._weight = MEMORY * self._weight + float(w.sum())
         self._pull = pull[:self.basis.shape[1]]
         self._looks += 1
         self._judge()
@@ -266,7 +266,7 @@ class ModelDoubt:
             # the pose leaves the lines of that corner aside, as clutter, and is not moved by it
             self._named, self._bias = None, np.zeros_like(self._bias)
             self.doubt = Doubt('edge', self._patterns[self._edges[moved.pattern]].what,
-                               -moved.share, moved.sigma)
+                               -moved.share, STEP)
             return
         if named is not None and not self._refuted(share[named], sigma[named]):
             out[named] = True

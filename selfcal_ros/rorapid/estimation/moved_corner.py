@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 
 #: Shares that are asked for, in steps.
-_STEP = 0.005
-SHARES = _STEP * np.concatenate([np.arange(-30, -5), np.arange(6, 31)])
+STEP = 0.005
+SHARES = STEP * np.concatenate([np.arange(-30, -5), np.arange(6, 31)])
 #: An edge is where a line asks for it, and a place counts that would move by more, pixels.
 _AT_PX, _MOVES_PX = 1.0, 2.5
 #: Of the places of a line so many have an edge where the moved corner asks for it, and no more
@@ -37,8 +37,8 @@ _SEEN, _LEFT, _STANDS = 0.6, 0.3, 0.5
 _PLACES, _EVIDENCE = 8.0, 12.0
 #: An image counts for so many places of a line at most: one image is no proof.
 _OF_AN_IMAGE = 3.0
-#: Memory of earlier images.
-_MEMORY = 0.95
+#: Memory of what earlier images showed.
+MEMORY = 0.95
 
 
 class MovedCorner(NamedTuple):
@@ -49,14 +49,13 @@ class MovedCorner(NamedTuple):
     ----------
     pattern : int
         Of those that were given.
-    share, sigma : float
-        By which the object is longer there than the model, and how finely that is asked for.
+    share : float
+        By which the object is longer there than the model, to a step of `STEP`.
 
     """
 
     pattern: int
     share: float
-    sigma: float
 
 
 class MovedCorners:
@@ -94,7 +93,7 @@ class MovedCorners:
 
         """
         point, pattern = np.nonzero(np.abs(slopes) * SHARES[-1] > _MOVES_PX)
-        self._counts *= _MEMORY
+        self._counts *= MEMORY
         if not len(point):
             return
         row = pattern * self._lines + line[point]
@@ -126,4 +125,4 @@ class MovedCorners:
         if self._said is None:
             return None
         pattern, k = divmod(self._said, len(SHARES))
-        return MovedCorner(pattern, float(SHARES[k]), _STEP)
+        return MovedCorner(pattern, float(SHARES[k]))
