@@ -76,7 +76,7 @@ DEGENERATE = {
 }
 #: Of these, the scenes that may be calibrated or refused, but never wrongly calibrated; all others
 #: must be refused. For the far objects the Cramér-Rao bound of fx is 4.5 to 5.4 % of fx, and the
-#: cameras found state 5 to 13 %. That is below `observability.FOCAL_FRACTION`, 15 %: a camera says
+#: cameras found state 4 to 9 %. That is below `observability.FOCAL_FRACTION`, 15 %: a camera says
 #: something. The bound is 0.30 of that or more (`hard_scenes.DETERMINED`): none is required.
 EITHER = ('four small, far objects',)
 #: Beyond so many stated sigmas a result is wrong.

@@ -15,8 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_GO_ON
+from selfcal_ros.calibration.initialisation.affine_start import affine_starts
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
                                                                   supposed_camera)
@@ -61,10 +63,17 @@ STILL_FREE, CLEARLY_LESS, FAR_OUT_RAD = 4.0, 0.75, np.radians(10.0)
 ALIKE, VOUCHED = 0.02, 1.5
 
 
-def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
+def starts(problem: SelfCalibrationProblem, proposals: Iterable[Camera], as_affine: bool = False,
            ) -> Iterator[tuple[SceneState, float]]:
     """
     Follow proposed calibrations to their nearest optimum on a share of the tracks.
+
+    Parameters
+    ----------
+    problem : SelfCalibrationProblem
+    proposals : iterable of Camera
+    as_affine : bool
+        Begin with all views at once, as affine images; with pairs of them by default.
 
     Yields
     ------
@@ -81,15 +90,18 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
         priors = start_priors(problem, camera)
         coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
         fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
-        candidates = problem.starts(blocks, few.xy, camera)
+        candidates = (affine_starts(blocks, few.xy, camera) if as_affine
+                      else problem.starts(blocks, few.xy, camera))
         costs = [coarse.cost(state) for state in candidates]
         if not np.isfinite(min(costs, default=np.inf)):
             continue
-        chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
-        # a coarse scale first: far from the optimum most residuals are large
-        state = coarse.optimise(chosen, iterations=8, tolerance=TO_GO_ON)
-        state = fine.optimise(state, iterations=12, tolerance=TO_GO_ON)
-        yield state, fine.noise_sigma(state)
+        # affine images leave open which way round the depths are; what is right shows in the end
+        for chosen in candidates if as_affine else [candidates[int(np.argmin(costs))]]:
+            # a coarse scale first: far from the optimum most residuals are large
+            state = coarse.optimise(with_fixed(chosen, priors), iterations=8,
+                                    tolerance=TO_GO_ON)
+            state = fine.optimise(state, iterations=12, tolerance=TO_GO_ON)
+            yield state, fine.noise_sigma(state)
 
 
 def closed_form(problem: SelfCalibrationProblem) -> list[Camera]:
@@ -150,8 +162,15 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
                 and not is_strong(problem.bend):
             yield from _by_modulus(problem)
 
+    def followed() -> Iterator[tuple[SceneState, float]]:
+        one_by_one = proposals()
+        yield from starts(problem, islice(one_by_one, 1))
+        if not problem.motion.keeps_plane and problem.flat is None and problem.pivot is None:
+            yield from starts(problem, [next(proposals())], as_affine=True)
+        yield from starts(problem, one_by_one)
+
     best, best_noise, doubted = None, np.inf, False
-    for state, noise in starts(problem, proposals()):
+    for state, noise in followed():
         if noise < best_noise:
             best, best_noise = state, noise
         # of a plane every start leaves little, also with poses of the plane's mirror image
