@@ -283,6 +283,12 @@ REMARKS: dict[str, Phrase] = {
         'The motion leaves the fact open. Most sensors have square pixels within 0.001, but '
         'images that were resized or rectified need not.',
         'State the fact with a sigma, or move so that the images tell.'),
+    'fact_open': Phrase(
+        'The images leave the stated {fact} open: an error of {error:.2g} px in {unknown} would '
+        'not show. The sigmas hold only if the fact is exact.',
+        'The motion does not show it. Most sensors have no skew, but a principal point is rarely '
+        'known so well.',
+        'If the fact is not certain, state it with a sigma.'),
     'images_rectified': Phrase(
         'No point is distorted by more than {share:.2%}, so the images seem to be rectified. '
         'Rectified pixels are often not square, by some percent, and the images cannot check it.',

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_foc
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.synthetic.few_view_scenes import general_views
 from selfcal_ros.synthetic.hard_scenes import hand, s_curve, vehicle
 from selfcal_ros.synthetic.zoomed_scenes import zoomed
@@ -197,6 +198,19 @@ def test_an_exact_plane_leaves_the_aspect_ratio_open_and_that_is_said_first():
     held = calibrate(scene.tracks, motion='planar', facts=unsure)
     assert abs(held.camera.K[1, 1] - 540.8) < 3 * held.sigma['fy']
     assert abs(held.camera.K[1, 2] - 235) < 3 * held.sigma['cy']
+
+
+def test_a_skew_of_two_pixels_is_in_the_sigmas_of_a_drive_once_it_has_one():
+    """Beyond 4 sigmas over the image it was, in silence."""
+    camera = Camera([[520, 2, 328], [0, 520, 235], [0, 0, 1]], (-0.2, 0.05), *SIZE)
+    scene = vehicle(np.random.default_rng(3), s_curve(10), 5.0, camera=camera, count=80)
+    exact, unsure = (calibrate(scene.tracks, motion='planar', facts=replace(
+        SQUARE, distortion='radial2', skew_sigma_px=sigma)) for sigma in (0.0, 1.0))
+
+    assert 'fact_open' in [one.kind for one in exact.findings]
+    assert compare_cameras(camera, exact.camera, None, exact.covariance).sigmas.max() > 4
+    assert 'fact_open' not in [one.kind for one in unsure.findings]
+    assert compare_cameras(camera, unsure.camera, None, unsure.covariance).sigmas.max() < 4
 
 
 def test_eight_views_of_a_drive_tell_what_an_aspect_ratio_of_a_twentieth_more_would_do():

@@ -23,7 +23,7 @@ the difference. Either way the value that the images prefer is told.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,6 +97,29 @@ class Contradiction:
         return {'fact': self.fact, 'preferred': self.preferred, 'sigmas': self.sigmas}
 
 
+class Unchecked(NamedTuple):
+    """
+    An error of a fact that the images would let pass.
+
+    Attributes
+    ----------
+    fact, unknown : str
+        The fact, and an unknown of the lens that it is about.
+    error : float
+    shift : ndarray, shape (k,)
+        What it would do to the parameters of the camera.
+    is_whole : bool
+        Whether that is all of an error that is not unusual; else the images limit it.
+
+    """
+
+    fact: str
+    unknown: str
+    error: float
+    shift: np.ndarray
+    is_whole: bool
+
+
 @dataclass(frozen=True)
 class FactsVerdict:
     """
@@ -109,9 +132,8 @@ class FactsVerdict:
     doubted : tuple of Contradiction
         What may be an accident; and all, where rows that views move by while they are read may be
         what the images contradict a fact by.
-    unchecked : tuple of (str, str, float, ndarray)
-        What the images let pass: a fact, an unknown that it is about, an error that would not
-        show, and what that would do to the parameters of the camera (k,).
+    unchecked : tuple of Unchecked
+        What the images let pass.
     trusted : bool
         Whether the facts were declared exact.
 
@@ -119,7 +141,7 @@ class FactsVerdict:
 
     contradicted: tuple[Contradiction, ...]
     doubted: tuple[Contradiction, ...]
-    unchecked: tuple[tuple[str, str, float, np.ndarray], ...]
+    unchecked: tuple[Unchecked, ...]
     trusted: bool
 
     def refusal(self, covariance: np.ndarray, focal_px: float) -> NoEstimate | None:
@@ -200,7 +222,11 @@ class FactsVerdict:
                 wider = wider + np.outer(shift, shift)
             found.append(Finding(kind, **one.values))
         told: dict[str, Finding] = {}
-        for fact, unknown, error, shift in self.unchecked:
+        left_open: dict[str, Finding] = {}
+        for fact, unknown, error, shift, is_whole in self.unchecked:
+            # a parameter that is held has no sigma that could hold the whole of such an error
+            if is_whole and unknown in MATRIX_PARAMETERS and not estimated[names.index(unknown)]:
+                left_open[fact] = Finding('fact_open', fact=fact, unknown=unknown, error=error)
             ratio = _in_sigmas(shift, wider)
             place = int(np.argmax(ratio))
             beyond = float(ratio[place])
@@ -210,7 +236,7 @@ class FactsVerdict:
                                      sigmas=beyond, moves=[names[one] for one in np.flatnonzero(
                                          ratio > SILENT_SIGMAS)])
         if not self.trusted:
-            found += told.values()
+            found += (told | left_open | told).values()
         return wider, tuple(found)
 
 
@@ -249,7 +275,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
     """
     found: list[Contradiction] = []
     doubted: list[Contradiction] = []
-    unchecked: tuple[tuple[str, str, float, np.ndarray], ...] = ()
+    unchecked: tuple[Unchecked, ...] = ()
     asked: set[str] = set()
     while True:
         about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
@@ -357,17 +383,18 @@ def spread_of_unknowns(fit: RobustFit, places: np.ndarray, size: tuple[int, int]
     return (clusters.covariance + of_segments)[np.ix_(places, places)], ratio
 
 
-def _unchecked(fit: RobustFit, tested: Tested) -> list[tuple[str, str, float, np.ndarray]]:
+def _unchecked(fit: RobustFit, tested: Tested) -> list[Unchecked]:
     """Return errors of a fact that would not show, and what each would do to the camera."""
     lens = fit.state.lens
     found = []
     for place, name in enumerate(tested.unknowns):
         if name in PLAUSIBLE:
-            unit = lens['f'] if name in ('skew', 'cx', 'cy') else 1.0
-            error = min(PLAUSIBLE[name] * unit, 2 * float(tested.sigma[place]))
+            plausible = PLAUSIBLE[name] * (lens['f'] if name in ('skew', 'cx', 'cy') else 1.0)
+            error = min(plausible, 2 * float(tested.sigma[place]))
             step = error * tested.response[:, place]
             step[lens.places((name,))] += error
-            found.append((tested.name, name, error, _parameters_step(lens.values, step)))
+            found.append(Unchecked(tested.name, name, error, _parameters_step(lens.values, step),
+                                   error == plausible))
     return found
 
 
