@@ -156,7 +156,8 @@ def _factored(blocks: PointBlocks, u: np.ndarray,
 def _affine(blocks: PointBlocks, cameras: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Images (N, 2) of points (P, 3) by affine cameras (V, 2, 4)."""
     seen: np.ndarray = np.einsum('nij,nj->ni', cameras[blocks.view, :, :3], points[blocks.point])
-    return seen + cameras[blocks.view, :, 3]
+    seen += cameras[blocks.view, :, 3]
+    return seen
 
 
 def _resected(blocks: PointBlocks, u: np.ndarray, points: np.ndarray, weight: np.ndarray,

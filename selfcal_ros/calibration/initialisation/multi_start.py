@@ -143,34 +143,8 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         No estimate where a plane was supposed that the motion leaves.
 
     """
-    def proposals() -> Iterator[Camera]:
-        yield from first
-        for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.bend,
-                                                          FOCAL_SWEEP)):
-            # an ordinary lens is tried in less time than the closed form takes
-            if k == 1 and problem.motion.keeps_plane and problem.flat is None \
-                    and not is_strong(problem.bend):
-                yield from closed_form(problem)
-            yield supposed_camera(focal_px, problem.size, problem.facts, problem.bend)
-        if is_strong(problem.bend):
-            # far scenes show little of the bend, and it may be an illusion
-            for focal_px in likely_focal_lengths(problem.size, (), FOCAL_SWEEP):
-                yield supposed_camera(focal_px, problem.size, problem.facts)
-        # a principal point far off the middle, which the sweep does not suppose
-        if not problem.motion.keeps_plane and problem.flat is None \
-                and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \
-                and not is_strong(problem.bend):
-            yield from _by_modulus(problem)
-
-    def followed() -> Iterator[tuple[SceneState, float]]:
-        one_by_one = proposals()
-        yield from starts(problem, islice(one_by_one, 1))
-        if not problem.motion.keeps_plane and problem.flat is None and problem.pivot is None:
-            yield from starts(problem, [next(proposals())], as_affine=True)
-        yield from starts(problem, one_by_one)
-
     best, best_noise, doubted = None, np.inf, False
-    for state, noise in followed():
+    for state, noise in _followed(problem, first):
         if noise < best_noise:
             best, best_noise = state, noise
         # of a plane every start leaves little, also with poses of the plane's mirror image
@@ -179,7 +153,7 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
             break
         if not doubted and problem.supposes_plane and problem.motion.keeps_plane:
             doubted = True
-            free, free_px = _free_start(problem, proposals())
+            free, free_px = _free_start(problem, _proposals(problem, first))
             if free is None:
                 continue
             off_plane = _off_plane_rad(free)
@@ -189,6 +163,36 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
             if best is not None and _vouches(free, free_px, best, problem):
                 break
     return best, best_noise
+
+
+def _followed(problem: SelfCalibrationProblem, first: list[Camera],
+              ) -> Iterator[tuple[SceneState, float]]:
+    """Follow one proposal by pairs of views, by affine images if motion is free, then others."""
+    by_pairs = _proposals(problem, first)
+    yield from starts(problem, islice(by_pairs, 1))
+    if not problem.motion.keeps_plane and problem.flat is None and problem.pivot is None:
+        yield from starts(problem, islice(_proposals(problem, first), 1), as_affine=True)
+    yield from starts(problem, by_pairs)
+
+
+def _proposals(problem: SelfCalibrationProblem, first: list[Camera]) -> Iterator[Camera]:
+    """Propose cameras: `first`, the sweep with the closed form in it, the modulus constraint."""
+    yield from first
+    for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.bend, FOCAL_SWEEP)):
+        # an ordinary lens is tried in less time than the closed form takes
+        if k == 1 and problem.motion.keeps_plane and problem.flat is None \
+                and not is_strong(problem.bend):
+            yield from closed_form(problem)
+        yield supposed_camera(focal_px, problem.size, problem.facts, problem.bend)
+    if is_strong(problem.bend):
+        # far scenes show little of the bend, and it may be an illusion
+        for focal_px in likely_focal_lengths(problem.size, (), FOCAL_SWEEP):
+            yield supposed_camera(focal_px, problem.size, problem.facts)
+    # a principal point far off the middle, which the sweep does not suppose
+    if not problem.motion.keeps_plane and problem.flat is None \
+            and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \
+            and not is_strong(problem.bend):
+        yield from _by_modulus(problem)
 
 
 def _by_modulus(problem: SelfCalibrationProblem) -> list[Camera]:
