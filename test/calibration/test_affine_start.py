@@ -73,6 +73,17 @@ def test_too_little_gives_no_start(views, shared):
                          CAMERA) == []
 
 
+@pytest.mark.parametrize('name', ['one place', 'a place a view', 'same views', 'half'])
+def test_images_that_tell_nothing_give_finite_starts_or_none(name):
+    _, blocks, xy = far_views(np.random.default_rng(0), seen=1.0)
+    same = xy[blocks.view == 0][blocks.point]
+    seen = {'one place': np.full_like(xy, 400.0), 'same views': same,
+            'a place a view': 100.0 * blocks.view[:, None] + [50, 60],
+            'half': np.where(blocks.view[:, None] < 3, same, 400.0)}[name]
+    for state in affine_starts(blocks, seen, CAMERA):
+        assert np.isfinite(state.points).all() and np.isfinite(state.path.cam_from_world()).all()
+
+
 @pytest.mark.parametrize('seed', [41, 42])
 def test_small_far_objects_give_a_camera(seed):
     # each of them is 12 pixels wide

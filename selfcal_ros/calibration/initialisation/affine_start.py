@@ -57,7 +57,8 @@ def affine_starts(blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[S
     Returns
     -------
     list of SceneState
-        Two, each the other with depths reversed; none where views share too few tracks.
+        Two, each the other with depths reversed. None where views share too few tracks, or one
+        sees all of them at one place.
 
     """
     rays = all_rays(camera, xy)
@@ -68,7 +69,7 @@ def affine_starts(blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[S
     if (seen[:, 2] <= 0).any():
         return []
     factors = _factored(blocks, seen[:, :2] / seen[:, 2:])
-    if factors is None:
+    if factors is None or not factors[0].any(axis=(1, 2)).all():
         return []
     views, offsets, points = _metric(*factors)
     # the nearest scaled rotations
