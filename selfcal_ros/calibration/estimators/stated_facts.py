@@ -236,7 +236,8 @@ class FactsVerdict:
                                      sigmas=beyond, moves=[names[one] for one in np.flatnonzero(
                                          ratio > SILENT_SIGMAS)])
         if not self.trusted:
-            found += (told | left_open | told).values()
+            found += told.values()
+            found += (one for fact, one in left_open.items() if fact not in told)
         return wider, tuple(found)
 
 

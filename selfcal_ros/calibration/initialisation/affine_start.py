@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.affine.diac import conic_matrix
 from selfcal_ros.calibration.bundle.centres import all_rays
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -30,6 +31,7 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import common_axis
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.projective import euclidean, homogeneous, unit
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
@@ -68,7 +70,7 @@ def affine_starts(blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[S
     seen = np.einsum('nij,nj->ni', facing[blocks.view], rays)
     if (seen[:, 2] <= 0).any():
         return []
-    factors = _factored(blocks, seen[:, :2] / seen[:, 2:])
+    factors = _factored(blocks, euclidean(seen))
     if factors is None or not factors[0].any(axis=(1, 2)).all():
         return []
     views, offsets, points = _metric(*factors)
@@ -76,7 +78,7 @@ def affine_starts(blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[S
     U, scale, Vt = np.linalg.svd(views, full_matrices=False)
     rows = U @ Vt
     R = np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
-    middles = np.column_stack([offsets, np.ones(len(offsets))]) / scale.mean(axis=1)[:, None]
+    middles = homogeneous(offsets) / scale.mean(axis=1)[:, None]
     places = np.einsum('vji,vj->vi', facing, middles)
     found = []
     for mirror in (np.eye(3), _REVERSED):
@@ -85,18 +87,15 @@ def affine_starts(blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[S
         mount = align_z(common_axis(turned[1:] @ turned[0].T))
         to_world = turned[0].T @ mount
         poses = np.concatenate([turned @ to_world, places[..., None]], axis=2)
-        ahead = np.column_stack([points @ mirror @ to_world, np.ones(len(points))])
         found.append(rescaled(SceneState(
             Lens.of(camera), AxisPath.of_poses(mount, poses),
-            ahead / np.linalg.norm(ahead, axis=1, keepdims=True))))
+            unit(homogeneous(points @ mirror @ to_world)))))
     return found
 
 
 def _facing(blocks: PointBlocks, rays: np.ndarray) -> np.ndarray:
-    """Rotations (V, 3, 3) that turn each view's z axis to the middle of its rays (N, 3)."""
-    middle = np.zeros((blocks.view_count, 3))
-    np.add.at(middle, blocks.view, rays / np.linalg.norm(rays, axis=1, keepdims=True))
-    return np.stack([align_z(one).T for one in middle])
+    """Rotations (V, 3, 3) that turn each view's z axis to the middle of its unit rays (N, 3)."""
+    return np.stack([align_z(one).T for one in blocks.sum_over_views(rays)])
 
 
 def _factored(blocks: PointBlocks, u: np.ndarray,
@@ -131,7 +130,7 @@ def _factored(blocks: PointBlocks, u: np.ndarray,
     at[blocks.view, blocks.point] = u
     points = np.zeros((blocks.point_count, 3))
     of_two = np.concatenate([at[a, both], at[b, both]], axis=1)
-    left, value, _ = np.linalg.svd(of_two - of_two.mean(axis=0), full_matrices=False)
+    left, _, _ = np.linalg.svd(of_two - of_two.mean(axis=0), full_matrices=False)
     points[both] = left[:, :3] * np.sqrt(len(left))
     is_placed, stands = both, np.zeros(len(sees), bool)
     stands[[a, b]] = True
@@ -164,10 +163,10 @@ def _affine(blocks: PointBlocks, cameras: np.ndarray, points: np.ndarray) -> np.
 def _resected(blocks: PointBlocks, u: np.ndarray, points: np.ndarray, weight: np.ndarray,
               ) -> np.ndarray:
     """Affine cameras (V, 2, 4) from points (P, 3) and their images."""
-    known = np.column_stack([points[blocks.point], np.ones(len(u))])
-    square, right = np.zeros((blocks.view_count, 4, 4)), np.zeros((blocks.view_count, 4, 2))
-    np.add.at(square, blocks.view, weight[:, None, None] * known[:, :, None] * known[:, None])
-    np.add.at(right, blocks.view, weight[:, None, None] * known[:, :, None] * u[:, None])
+    known = homogeneous(points[blocks.point])[:, None]
+    weighted = weight[:, None, None] * known
+    square = blocks.products_by_views(weighted, known)
+    right = blocks.products_by_views(weighted, u[:, None])
     solved: np.ndarray = (np.linalg.pinv(square, hermitian=True) @ right).transpose(0, 2, 1)
     return solved
 
@@ -176,9 +175,9 @@ def _intersected(blocks: PointBlocks, u: np.ndarray, cameras: np.ndarray, weight
                  ) -> np.ndarray:
     """Points (P, 3) from affine cameras (V, 2, 4) and their images."""
     M = cameras[blocks.view, :, :3]
-    square = np.add.reduceat(weight[:, None, None] * (M.transpose(0, 2, 1) @ M), blocks.first)
-    away = (u - cameras[blocks.view, :, 3])[:, :, None]
-    right = np.add.reduceat(weight[:, None, None] * (M.transpose(0, 2, 1) @ away), blocks.first)
+    weighted = weight[:, None, None] * M.transpose(0, 2, 1)
+    square = blocks.sum_over_points(weighted @ M)
+    right = blocks.sum_over_points(weighted @ (u - cameras[blocks.view, :, 3])[:, :, None])
     points: np.ndarray = (np.linalg.pinv(square, hermitian=True) @ right)[:, :, 0]
     return points
 
@@ -196,8 +195,7 @@ def _metric(views: np.ndarray, offsets: np.ndarray, points: np.ndarray,
     rows = np.concatenate([_products(m, m) - _products(n, n), 2 * _products(m, n)])
     size = np.sum(views**2, axis=(1, 2))
     _, _, Vt = np.linalg.svd(rows / np.concatenate([size, size])[:, None])
-    a, b, c, d, e, f = Vt[-1]
-    values, vectors = np.linalg.eigh(np.array([[a, b, c], [b, d, e], [c, e, f]]))
+    values, vectors = np.linalg.eigh(conic_matrix(Vt[-1]))
     if values.sum() < 0:
         values, vectors = -values[::-1], vectors[:, ::-1]
     frame = vectors * np.sqrt(np.maximum(values, LEAST_METRIC * values[-1]))
@@ -206,9 +204,8 @@ def _metric(views: np.ndarray, offsets: np.ndarray, points: np.ndarray,
 
 def _products(m: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Return coefficients (V, 6) of mᵀ L n for a symmetric L, upper triangle row by row."""
-    def both(i: int, j: int) -> np.ndarray:
-        twice: np.ndarray = m[:, i] * n[:, j] + m[:, j] * n[:, i]
-        return twice
-
-    return np.column_stack([m[:, 0] * n[:, 0], both(0, 1), both(0, 2),
-                            m[:, 1] * n[:, 1], both(1, 2), m[:, 2] * n[:, 2]])
+    i, j = np.triu_indices(3)
+    outer = m[:, :, None] * n[:, None]
+    both: np.ndarray = (outer + outer.transpose(0, 2, 1))[:, i, j]
+    # on the diagonal these are one entry of L, not two
+    return both / np.where(i == j, 2, 1)

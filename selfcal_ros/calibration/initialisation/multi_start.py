@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -168,11 +167,12 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
 def _followed(problem: SelfCalibrationProblem, first: list[Camera],
               ) -> Iterator[tuple[SceneState, float]]:
     """Follow one proposal by pairs of views, by affine images if motion is free, then others."""
-    by_pairs = _proposals(problem, first)
-    yield from starts(problem, islice(by_pairs, 1))
+    others = _proposals(problem, first)
+    one = [next(others)]
+    yield from starts(problem, one)
     if not problem.motion.keeps_plane and problem.flat is None and problem.pivot is None:
-        yield from starts(problem, islice(_proposals(problem, first), 1), as_affine=True)
-    yield from starts(problem, by_pairs)
+        yield from starts(problem, one, as_affine=True)
+    yield from starts(problem, others)
 
 
 def _proposals(problem: SelfCalibrationProblem, first: list[Camera]) -> Iterator[Camera]:
