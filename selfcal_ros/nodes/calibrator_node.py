@@ -37,6 +37,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status, NOTHING_NEW, UNDER_WAY
 from selfcal_ros.nodes.change_watch import ChangeWatch
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
@@ -83,6 +84,7 @@ class CalibratorNode(Node):
 
     """
 
+    @whole_or_none
     def __init__(self, name: str, table: type[CalibratorParameters],
                  worker: Callable[[], EstimationWorker | EstimationProcess] = EstimationWorker,
                  ) -> None:

@@ -27,6 +27,7 @@ from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
@@ -42,6 +43,7 @@ from sensor_msgs.srv import SetCameraInfo
 class CameraInfoPublisher(Node):
     """Publishes `camera_info`, with the stamp and frame of the driver's own or of the images."""
 
+    @whole_or_none
     def __init__(self) -> None:
         super().__init__('camera_info_publisher')
         self.parameters = declare(self, CameraInfoPublisherParameters)

@@ -35,6 +35,7 @@ from selfcal_ros.features.interlaced import is_interlaced, of_even_rows
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.features.mask import ImageMask, read_mask
 from selfcal_ros.features.two_views import TwoViewsWatch
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.given_paths import given_path
 from selfcal_ros.nodes.image_topics import ImageInputs
@@ -80,6 +81,7 @@ class FeatureTrackerNode(Node):
 
     """
 
+    @whole_or_none
     def __init__(self) -> None:
         super().__init__('feature_tracker')
         self.parameters = declare(self, FeatureTrackerParameters)

@@ -29,6 +29,7 @@ from typing import Any
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_default_context
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.parameters import BagPlayerParameters
 from selfcal_ros.pipeline.child_process import end_processes, start_module
@@ -47,9 +48,19 @@ class StoppedBySignal(Exception):
 
 
 class NodeProcesses:
-    """The processes that have been started."""
+    """
+    The processes that have been started.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    domain_id : int, optional
+        Where their nodes meet; by default where the environment says.
+
+    """
+
+    def __init__(self, domain_id: int | None = None) -> None:
+        self._environment = None if domain_id is None else {
+            **os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
         self._started: list[tuple[str, subprocess.Popen[bytes]]] = []
 
     def start(self, module: str, parameters: dict[str, Any]) -> subprocess.Popen[bytes]:
@@ -57,7 +68,7 @@ class NodeProcesses:
         words = ['--ros-args']
         for name, value in parameters.items():
             words += ['-p', f'{name}:={json.dumps(value)}']
-        process = start_module(f'selfcal_ros.nodes.{module}', words)
+        process = start_module(f'selfcal_ros.nodes.{module}', words, self._environment)
         self._started.append((module, process))
         return process
 
@@ -86,12 +97,15 @@ def node_processes() -> Iterator[NodeProcesses]:
     """
     Start ROS in this process, and let nodes be started; all of it ends with the block.
 
+    ROS that runs here already is used, with its domain, and goes on.
+
     SIGINT, SIGTERM and SIGHUP end `wait_for`, and do what they would have done after the block.
     """
     with _signals_kept(), ExitStack() as stack:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        stack.callback(rclpy.try_shutdown)
-        processes = NodeProcesses()
+        if not rclpy.ok():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            stack.callback(rclpy.try_shutdown)
+        processes = NodeProcesses(get_default_context().get_domain_id())
         stack.callback(processes.end)
         yield processes
 

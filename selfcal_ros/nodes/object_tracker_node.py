@@ -29,6 +29,7 @@ from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.camera_info_input import CameraInfoInput
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.given_paths import given_path, model_paths
 from selfcal_ros.nodes.image_topics import ImageInputs
@@ -60,6 +61,7 @@ from sensor_msgs.msg import Image
 class ObjectTrackerNode(Node):
     """Follows objects through `image` or `image/compressed` and publishes each one's `pose`."""
 
+    @whole_or_none
     def __init__(self) -> None:
         super().__init__('rorapid_tracker')
         p = self.parameters = declare(self, RorapidTrackerParameters)

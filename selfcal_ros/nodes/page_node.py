@@ -38,6 +38,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future as RclpyFuture
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CalibrationPageParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
@@ -64,6 +65,7 @@ JPEG_QUALITY = 80
 class CalibrationPage(Node):
     """Serves the page of one calibrator: the one named, or the first that is heard."""
 
+    @whole_or_none
     def __init__(self) -> None:
         super().__init__('calibration_page')
         self.parameters = declare(self, CalibrationPageParameters)
@@ -91,7 +93,8 @@ class CalibrationPage(Node):
 
     def destroy_node(self) -> None:
         """End the server, too."""
-        self.server.close()
+        if hasattr(self, 'server'):
+            self.server.close()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:

@@ -26,6 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from selfcal_ros.errors import InputError
+from selfcal_ros.nodes.construction import whole_or_none
 from selfcal_ros.nodes.given_paths import given_path
 from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameter_declaration import declare, follow
@@ -43,6 +44,7 @@ LONGEST_GAP_S, PLAYED_GAP_S = 60.0, 1.0
 class BagPlayer(Node):
     """Publishes `image` or `image/compressed`, and /clock; done at the end of the bag."""
 
+    @whole_or_none
     def __init__(self) -> None:
         super().__init__('bag_player')
         self.parameters = declare(self, BagPlayerParameters)

@@ -13,7 +13,6 @@
 # limitations under the License.
 """Every example runs, on the recordings of the repository, and prints what is true."""
 
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
 import json
 import os
 from pathlib import Path
@@ -22,7 +21,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from selfcal_ros.cli.main import main as selfcal
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
@@ -104,33 +102,3 @@ def test_many_recordings_are_calibrated_together(tmp_path):
     assert 'broken.mcap: ' in said
     # a copy counts once
     assert 'together: fx 5' in said and '1 of 1 recordings' in said
-
-
-@pytest.mark.ros
-def test_the_node_measures_motion(monkeypatch, tmp_path):
-    if not find_spec('rclpy'):
-        pytest.skip('rclpy is not installed')
-    # one process, so nothing has to be found: any domain will do
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
-    from msg_adapters.message_types import rclpy_types
-    from msg_adapters.stamps import header_message
-    from msg_adapters.tracks import tracks_message
-    import rclpy
-    spec = spec_from_file_location('motion_meter', EXAMPLES / 'motion_meter.py')
-    example = module_from_spec(spec)
-    spec.loader.exec_module(example)
-    rclpy.init()
-    try:
-        node, types, said = example.MotionMeter(), rclpy_types(), []
-        monkeypatch.setattr(node._motion, 'publish', said.append)
-        points = np.random.default_rng(0).uniform(50, 400, (20, 2))
-        for number, shift in enumerate((0.0, 3.0, 8.0)):
-            # another point comes and one goes with every image
-            node._on_tracks(tracks_message(np.arange(20) + number, np.roll(
-                points, -number, axis=0) + [shift, 0], (640, 480),
-                header_message(10**9 * (number + 1), 'camera', types), types))
-        assert [round(one.data, 3) for one in said] == [3.0, 5.0]
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()

@@ -13,6 +13,7 @@
 # limitations under the License.
 """A ROS graph for one test: domain of its own, log in a temporary folder, waits with a timeout."""
 
+from functools import partialmethod
 import gc
 from importlib.util import find_spec
 import os
@@ -24,6 +25,7 @@ import threading
 import time
 
 import pytest
+from selfcal_ros.pipeline.child_process import end_processes
 from test_support.ros_domain import reserved_domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,15 +52,47 @@ def domain_id():
         yield number
 
 
+def keep_to_itself(patch, folder, domain_id):
+    """Set the environment that ROS begins with."""
+    patch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    patch.setenv('ROS_LOG_DIR', str(folder / 'log'))
+    patch.setenv('ROS_HOME', str(folder / 'ros_home'))
+    patch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(ROOT / 'config' / 'fastdds.xml'))
+    patch.setenv('PYTHONPATH', os.pathsep.join(
+        filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])))
+
+
 @pytest.fixture(autouse=True)
 def ros_environment(tmp_path, monkeypatch, domain_id):
     """Keep the test to itself; sub-processes inherit it."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
-    monkeypatch.setenv('ROS_HOME', str(tmp_path / 'ros_home'))
-    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(ROOT / 'config' / 'fastdds.xml'))
-    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
-        filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])))
+    keep_to_itself(monkeypatch, tmp_path, domain_id)
+
+
+@pytest.fixture(scope='session')
+def ros(tmp_path_factory, domain_id):
+    """
+    Start ROS once for all tests of this process, in one DDS participant.
+
+    A context has a participant for as long as it has nodes. Fast DDS 2.14 crashes or hangs now
+    and then where participants come and go, as they would from test to test.
+    """
+    import rclpy
+    from rclpy.node import Node
+    with pytest.MonkeyPatch.context() as patch:
+        keep_to_itself(patch, tmp_path_factory.mktemp('ros'), domain_id)
+        rclpy.init(args=[])
+        keeper = Node('keeper', enable_rosout=False, start_parameter_services=False)
+    yield keeper
+    keeper.destroy_node()
+    rclpy.try_shutdown()
+
+
+def wait_until_alone(keeper, timeout_s=30.0):
+    """Wait until no node of an earlier test is seen; a killed process is, for twenty seconds."""
+    deadline = time.monotonic() + timeout_s
+    while (seen := set(keeper.get_node_names()) - {keeper.get_name()}):
+        assert time.monotonic() < deadline, f'nodes of an earlier test live on: {sorted(seen)}'
+        time.sleep(0.02)
 
 
 class Graph:
@@ -142,26 +176,27 @@ class Graph:
 
 
 @pytest.fixture
-def graph(ros_environment):
-    """Start ROS with the parameters that a test asks for, as in `-p x:=1`."""
-    import rclpy
+def graph(ros, monkeypatch):
+    """Make a graph whose nodes have the parameters that a test asks for, as in `-p x:=1`."""
+    from rclpy.node import Node
+    wait_until_alone(ros)
     made = []
 
     def make(*parameters):
-        rclpy.init(args=['--ros-args', *parameters] if parameters else [])
+        if parameters:
+            monkeypatch.setattr(Node, '__init__', partialmethod(
+                Node.__init__, cli_args=['--ros-args', *parameters]))
         made.append(Graph())
         return made[0]
 
     yield make
-    # a node that was refused as it was made lives in cycles yet, and keeps its participant, which
-    # would end while that of a later test begins: Fast DDS 2.14 crashed or hung on that
+    # a node that was refused as it was made lives in cycles yet, and is seen by later tests
     gc.collect()
     for one in made:
         # what still refers to a node must go before it: rclpy crashed at a node's end else
         one.executor.shutdown()
         for node in one.nodes:
             node.destroy_node()
-    rclpy.try_shutdown()
 
 
 class Process:
@@ -218,8 +253,7 @@ def launch(tmp_path):
         return started[-1]
 
     yield run
+    # a node that is killed would be seen by the next tests for a while
+    end_processes(one.process for one in started)
     for one in started:
-        if one.process.poll() is None:
-            one.process.kill()
-        one.process.wait()
         one.process.stderr.close()
