@@ -19,9 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
 from selfcal_ros.calibration.known_object.edge_calibration import EdgeViews
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.options import ReadLines
 from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 
@@ -35,6 +37,8 @@ BORDER_PX = 6
 CONTRAST, CANDIDATES = 5.0, 3
 #: How often the line of a point is asked anew.
 READ_ROUNDS = 2
+#: Line delay by which displacements are differentiated where none is known, seconds.
+PROBE_S = 1e-7
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,10 @@ class PosedImage:
     rotation, translation : ndarray, shape (3, 3) and (3,)
         Of the object in the camera's frame, when the middle line is read.
     move : ndarray, shape (6,), or None
-        How it turns (radians, camera axes) and shifts (metres) from one line to the next; None
-        where all lines are read at once.
+        How it turns (radians, camera axes) and shifts (metres) in a second; None where nobody
+        knows, or all lines are read at once.
+    line_delay_s : float
+        Seconds from one line to the next, as far as is known.
     lines : {'rows', 'columns'}
         What is read one after the other.
 
@@ -61,9 +67,11 @@ class PosedImage:
     rotation: np.ndarray
     translation: np.ndarray
     move: np.ndarray | None = None
-    lines: str = 'rows'
+    line_delay_s: float = 0.0
+    lines: ReadLines = 'rows'
 
-    def when_read(self, camera: Camera, X: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    def when_read(self, camera: Camera, X: np.ndarray, turned: np.ndarray,
+                  line_delay_s: float) -> np.ndarray:
         """
         Move points on to where they are when their line is read.
 
@@ -72,6 +80,7 @@ class PosedImage:
         camera : Camera
         X, turned : ndarray, shape (N, 3)
             In the camera's frame when the middle line is read, and less the translation.
+        line_delay_s : float
 
         Returns
         -------
@@ -82,7 +91,7 @@ class PosedImage:
             return X
         axis = 1 if self.lines == 'rows' else 0
         count = (camera.width, camera.height)[axis]
-        a_line, moved = np.cross(self.move[:3], turned) + self.move[3:], X
+        a_line, moved = line_delay_s * (np.cross(self.move[:3], turned) + self.move[3:]), X
         for _ in range(READ_ROUNDS):
             late = np.clip(camera.project(moved)[:, axis] - 0.5 * (count - 1), -count, count)
             moved = X + np.nan_to_num(late)[:, None] * a_line
@@ -90,27 +99,48 @@ class PosedImage:
 
 
 def measure_edges(fine: VisibleModel, camera: Camera, views: list[PosedImage],
-                  reach: int) -> EdgeViews | None:
-    """Measure the edges of all views around the model; None where there are none."""
+                  reach: int, interval_s: float | None = None) -> EdgeViews | None:
+    """
+    Measure the edges of all views around the model.
+
+    Parameters
+    ----------
+    fine : VisibleModel
+    camera : Camera
+    views : list of PosedImage
+    reach : int
+        How far from the model an edge is looked for, pixels.
+    interval_s : float, optional
+        Between two images, where it is known how the object moves.
+
+    Returns
+    -------
+    EdgeViews or None
+        Where the edges were when the middle line was read; None where there are none.
+
+    """
     measured = [(view, found) for view in views
                 if (found := _measure(fine, camera, view, reach)) is not None]
     if len(measured) < 2:
         return None
     frames = np.concatenate([np.full(len(found[0]), view.index) for view, found in measured])
-    point, primitive, points, tangents, xy = (
-        np.concatenate([found[k] for _, found in measured]) for k in range(5))
+    point, primitive, points, tangents, xy, slope = (
+        np.concatenate([found[k] for _, found in measured]) for k in range(6))
     poses = [np.column_stack([view.rotation, view.translation]) for view, _ in measured]
+    first = measured[0][0]
+    rows = None if interval_s is None or not slope.any() else EdgeRows(
+        first.line_delay_s, slope, first.lines, interval_s)
     return EdgeViews(frames, point, primitive, points, tangents, xy, np.array(poses),
-                     (camera.width, camera.height))
+                     (camera.width, camera.height), rows)
 
 
 def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int,
              ) -> tuple[np.ndarray, ...] | None:
-    """Look for the edges of one image; returns the columns of `EdgeViews`, or None."""
+    """Look for edges in one image; returns columns of `EdgeViews` and the slopes, or None."""
     laid = _lay_out(fine, camera, view)
     if laid is None:
         return None
-    points, index, pixels, normal, late = laid
+    points, index, pixels, normal, slope = laid
     edgels = find_edgels(sample_normals(view.image, pixels, normal, reach), CANDIDATES, CONTRAST)
     # the nearest, not the strongest: the poses are those of the last adjustment
     distance = np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), np.inf)
@@ -122,7 +152,8 @@ def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int,
     index = index[found]
     return (points.ids[index], points.primitive[index], points.object_points[index],
             points.tangents[index],
-            pixels[found] - late[found] + normal[found] * offset[found, None])
+            pixels[found] + normal[found] * offset[found, None] - view.line_delay_s * slope[found],
+            slope[found])
 
 
 def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
@@ -137,8 +168,9 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
         Which are usable.
     pixels, normal : ndarray, shape (N, 2)
         When their line is read.
-    late : ndarray, shape (N, 2)
-        How far they have moved since the middle line was read, pixels.
+    slope : ndarray, shape (N, 2)
+        How far they have moved since the middle line was read, pixels for every second of line
+        delay.
 
     """
     points = fine.control_points(view.rotation, view.translation)
@@ -156,9 +188,11 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
         return None
     along = points.tangents[index] @ view.rotation.T
     still = turned + view.translation
-    X = view.when_read(camera, still, turned)
+    delay_s = view.line_delay_s or PROBE_S
+    late = view.when_read(camera, still, turned, delay_s)
+    slope = (camera.project(late) - camera.project(still)) / delay_s
+    X = late if view.line_delay_s else still
     pixels = camera.project(X)
-    late = np.zeros_like(pixels) if X is still else pixels - camera.project(still)
     run = camera.project(X + 1e-4 * X[:, 2:] * along) - pixels
     run /= np.maximum(np.linalg.norm(run, axis=1, keepdims=True), 1e-12)
     size = np.array([camera.width, camera.height])
@@ -166,7 +200,7 @@ def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage,
     if not inside.any():
         return None
     normal = np.column_stack([-run[:, 1], run[:, 0]])
-    return points, index[inside], pixels[inside], normal[inside], late[inside]
+    return points, index[inside], pixels[inside], normal[inside], slope[inside]
 
 
 def edge_misfit(fine: VisibleModel, camera: Camera, views: list[PosedImage]) -> float:

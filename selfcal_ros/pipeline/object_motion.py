@@ -17,7 +17,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.clock import difference_weights
 from selfcal_ros.geometry.rotation import rotation_vector
+
+#: So many images on either side tell how the object moves.
+BESIDE = 2
 
 
 class PosesInTime:
@@ -41,7 +45,7 @@ class PosesInTime:
 
     def move_a_second(self, stamp_ns: int) -> np.ndarray | None:
         """
-        Tell how the object moves at an image, between its poses in those beside it.
+        Tell how the object moves at an image, from its poses in those beside it.
 
         Parameters
         ----------
@@ -55,10 +59,13 @@ class PosesInTime:
 
         """
         at = self._stamps_ns.index(stamp_ns)
-        near = [k for k in (at - 1, at, at + 1) if 0 <= k < len(self._poses)]
+        here = self._poses[at]
+        near = range(max(at - BESIDE, 0), min(at + BESIDE + 1, len(self._poses)))
         known = [(self._stamps_ns[k], pose) for k in near if (pose := self._poses[k]) is not None]
-        if not known or known[-1][0] <= known[0][0]:
+        times = 1e-9 * (np.array([stamp for stamp, _ in known], float) - stamp_ns)
+        if here is None or len(known) < 2 or (np.diff(times) <= 0).any():
             return None
-        (first_ns, first), (last_ns, last) = known[0], known[-1]
-        turn = rotation_vector(last[0] @ first[0].T)
-        return np.concatenate([turn, last[1] - first[1]]) / (1e-9 * (last_ns - first_ns))
+        since = np.array([[*rotation_vector(R @ here[0].T), *t] for _, (R, t) in known])
+        weights = difference_weights(times, len(times))[1]
+        motion: np.ndarray = weights[0, int(np.flatnonzero(times == 0)[0])] @ since
+        return motion

@@ -138,7 +138,7 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
     excerpt : Excerpt
         The part of the recording that is used.
     lines : {'rows', 'columns'}
-        What is read one after the other, if the facts state a line delay.
+        What is read one after the other where the shutter is rolling.
 
     Returns
     -------
@@ -167,10 +167,14 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
             raise InputError('A mesh cannot calibrate a camera yet; give a wireframe of the '
                              'object (.cao or .yaml).')
         task = _Task(source, VisibleModel(model, LINE_POINTS, CONIC_POINTS), facts, most, seed,
-                     progress, lines)
+                     progress, lines, facts.line_delay_s or 0.0)
         camera, pose = _begin(task, init, clicks, start)
         passage, result, edges = task.best_passage(camera, pose)
-        readout = task.readout(passage)
+        if result and result.shutter is not None and source.clock != 'nominal':
+            # the poses between which it moves are those of other instants now
+            task = replace(task, line_delay_s=result.shutter.line_delay_s or 0.0)
+            passage, result, edges = task.best_passage(result.camera, pose)
+        readout = task.readout(passage, result) if result else None
         if readout is not None and result:
             result = replace(result, shutter=readout,
                              findings=(*result.findings, readout.finding()))
@@ -194,7 +198,9 @@ class _Task:
     progress : callable, optional
         Called as progress(text, done, total).
     lines : {'rows', 'columns'}
-        What is read one after the other, if the facts state a line delay.
+        What is read one after the other where the shutter is rolling.
+    line_delay_s : float
+        Seconds from one line to the next that the object is followed with.
 
     """
 
@@ -205,20 +211,19 @@ class _Task:
     seed: int
     progress: Progress | None
     lines: ReadLines = 'rows'
+    line_delay_s: float = 0.0
 
-    @property
-    def line_delay_s(self) -> float:
-        """Seconds from one line to the next, 0 where all are read at once."""
-        return self.facts.line_delay_s or 0.0
-
-    def readout(self, passage: _Passage) -> RowReadout | None:
-        """Return how lines were said to be read; None where all are read at once."""
-        if not self.line_delay_s or passage.interval_s is None:
-            return None
+    def readout(self, passage: _Passage, result: Calibration) -> RowReadout | None:
+        """Return how lines are read, as was said or found; None where all are read at once."""
+        found, stated_s = result.shutter, self.facts.line_delay_s
+        if found is not None and self.source.clock == 'nominal':
+            return replace(found, line_delay_s=None, sigma_s=None)
+        if not stated_s or passage.interval_s is None:
+            return found
         width, height = self.source.image_size or (0, 0)
         count = height if self.lines == 'rows' else width
-        return RowReadout(self.line_delay_s, 0.0, 'held',
-                          self.line_delay_s * count / passage.interval_s, 0.0, count, self.lines)
+        return RowReadout(stated_s, 0.0, 'held', stated_s * count / passage.interval_s, 0.0, count,
+                          self.lines)
 
     def best_passage(self, camera: Camera, pose: Pose,
                      ) -> tuple[_Passage, Calibration | NotCalibrated, EdgeViews | None]:
@@ -235,7 +240,8 @@ class _Task:
             start = pose[0], pose[1] + [0.0, 0.0, (factor - 1) * depth]
             passage = self.follow(trial, start)
             if len(passage.views) >= 2:
-                result, edges = self.refined(*self.best_focal(trial, passage.views))
+                result, edges = self.refined(*self.best_focal(trial, passage.views),
+                                             passage.interval_s)
             else:
                 why = passage.reason.rstrip('.')
                 result, edges = self.refused('object_not_followed', why=why), None
@@ -288,10 +294,9 @@ class _Task:
             if len(views) > 4 * most:
                 # a source that does not tell its length: every second will do from here on
                 views, step = views[::2], 2 * step
-        if self.line_delay_s:
-            moves = {view.index: path.move_a_second(stamps[view.index]) for view in views}
-            views = [replace(view, move=self.line_delay_s * move, lines=self.lines)
-                     for view in views if (move := moves[view.index]) is not None]
+        if self.facts.shutter != 'global':
+            views = _read_with([replace(view, move=path.move_a_second(stamps[view.index]),
+                                        lines=self.lines) for view in views], self.line_delay_s)
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
         return _Passage(views, images, good, reason, stamps, path.interval_s)
@@ -322,7 +327,7 @@ class _Task:
                 best = _refocused(self.fine.model, camera, views, trial.K[0, 0] / camera.K[0, 0])
         return best
 
-    def refined(self, camera: Camera, views: list[PosedImage],
+    def refined(self, camera: Camera, views: list[PosedImage], interval_s: float | None,
                 ) -> tuple[Calibration | NotCalibrated, EdgeViews | None]:
         """Measure and adjust in turn; returns the result and the edgels that it rests on."""
         result: Calibration | NotCalibrated | None = None
@@ -331,7 +336,7 @@ class _Task:
             if self.progress:
                 self.progress('Measuring edges', number, ROUNDS)
             found = measure_edges(self.fine, camera, views,
-                                  REACH_PX[min(number, len(REACH_PX) - 1)])
+                                  REACH_PX[min(number, len(REACH_PX) - 1)], interval_s)
             if found is None:
                 break
             edges = found
@@ -346,6 +351,9 @@ class _Task:
                 before, camera = camera, result.camera
                 poses = dict(zip(result.reconstructed.frames.tolist(),
                                  result.reconstructed.cam_from_world))
+                if self.facts.line_delay_s is None:
+                    views = _read_with(views, 0.0 if result.shutter is None
+                                       else result.shutter.line_delay_s or 0.0)
             views = _posed(views, poses)
             settled = abs(camera.K[0, 0] / before.K[0, 0] - 1) < SETTLED
             if number >= len(REACH_PX) and settled:
@@ -372,11 +380,14 @@ def _posed(views: list[PosedImage], poses: Mapping[int, np.ndarray]) -> list[Pos
         for view in views]
 
 
+def _read_with(views: list[PosedImage], line_delay_s: float) -> list[PosedImage]:
+    """Return views whose lines are read so fast; those of unknown motion only if all at once."""
+    return [replace(view, line_delay_s=line_delay_s) for view in views
+            if view.move is not None or not line_delay_s]
+
+
 def _check_readout(facts: CameraFacts, source: FrameSource) -> None:
     """Refuse what is said of a rolling shutter and could not be heeded."""
-    if facts.shutter == 'rolling' and facts.line_delay_s is None:
-        raise ArgumentError('--track does not find out how fast rows are read: state it '
-                            '(--line-delay), or leave --shutter rolling out and move slowly.')
     if facts.line_delay_sigma_s:
         raise ArgumentError('--track takes the line delay for exact: leave --line-delay-sigma '
                             'out.')

@@ -156,7 +156,6 @@ def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys, without_f
     (['--track', '--object', 'chessboard:9x6:0.025'], 'exclude each other'),
     (['--track', *OBJECT, '--motion', 'planar'], '--track and --motion planar'),
     (['--track', *OBJECT, '--image-size', '640', '480'], 'leave it out'),
-    (['--track', *OBJECT, '--shutter', 'rolling'], 'does not find out how fast rows are read'),
     (['--track', *OBJECT, '--line-delay', '4e-5', '--line-delay-sigma', '1e-6'], 'for exact'),
     (['--motion', 'known-object'], '--track')])
 def test_options_that_do_not_go_together_are_refused(capsys, arguments, words):

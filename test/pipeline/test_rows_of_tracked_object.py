@@ -18,6 +18,7 @@ import pytest
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera_facts import CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.edge_measurement import (
     CONIC_POINTS, LINE_POINTS, measure_edges, PosedImage)
 from selfcal_ros.pipeline.object_motion import PosesInTime
@@ -41,9 +42,8 @@ def off_px(made, delay_s):
         path.add(stamp, (R, t))
     views = []
     for k in (1, 2):
-        move = delay_s * path.move_a_second(int(made.stamps_ns[k])) if delay_s else None
         views.append(PosedImage(k, made.frame(k), made.rotations[k], made.translations[k],
-                                move))
+                                path.move_a_second(int(made.stamps_ns[k])), delay_s))
     edges = measure_edges(VisibleModel(made.model, LINE_POINTS, CONIC_POINTS), made.camera,
                           views, 8)
     at = np.searchsorted([1, 2], edges.frame)
@@ -74,3 +74,22 @@ def test_rows_of_images_without_stamps_are_refused(tmp_path):
     with pytest.raises(InputError, match='has no stamps'):
         calibrate_tracked_object(folder, made.model, CameraFacts(line_delay_s=5e-5),
                                  init='0 0 1 0 0 0', start=made.camera)
+
+
+def test_how_fast_rows_are_read_is_found_and_undone(tmp_path):
+    """Without stamps it is told in intervals between images."""
+    made = tracked_object(14, 'cube', size=(480, ROWS), speed=3.0, readout_s=READOUT_S,
+                          supersampling=2, seed=8)
+    folder = write_image_folder(made, tmp_path / 'images')
+    pose = (*made.translations[0], *rotation_vector(made.rotations[0]))
+    result, _ = calibrate_tracked_object(
+        folder, made.model, CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'),
+        init=' '.join(map(str, pose)), start=made.camera)
+    interval_s = 1e-9 * float(np.diff(made.stamps_ns)[0])
+    found = result.shutter
+    assert found.line_delay_s is None and found.status == 'estimated'
+    assert abs(found.intervals - READOUT_S / interval_s) < 3 * found.intervals_sigma < 0.06
+    assert 'rolling_shutter_unstamped' in [one.kind for one in result.findings]
+    error = result.camera.parameters - made.camera.parameters
+    assert all(abs(error[k]) < 3 * result.sigma[name] for k, name in ((0, 'fx'), (2, 'cx'),
+                                                                      (3, 'cy')))

@@ -26,12 +26,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.object_rows import MovedPoints, ObjectRows
 from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
+from selfcal_ros.calibration.bundle.shutter import LINE_DELAY
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.schur_complement import PointBlocks
@@ -216,23 +218,43 @@ class KnownEdges(_PoseElimination):
     points, tangents : ndarray, shape (N, 3)
         A point of each edgel's edge, near where it was seen, and the edge's direction there, in
         the object's frame.
+    rows : EdgeRows, optional
+        How far edges move until they are read, where the line delay is unknown.
 
     """
 
     points: np.ndarray
     tangents: np.ndarray
+    rows: EdgeRows | None = None
 
     dimension = 1
 
+    def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
+        """Lay out what remains once the poses are eliminated: lens and line delay."""
+        return Unknowns.all_free(lens_names, () if self.rows is None else (LINE_DELAY,))
+
+    def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
+              unknowns: Unknowns) -> ObjectState:
+        """Move a state by a step (n,) of all but the poses, and steps (V, 6) of these."""
+        state = super().moved(state, step, steps, unknowns)
+        if self.rows is None:
+            return state
+        return replace(state, line_delay_s=state.line_delay_s + float(
+            step[unknowns.places((LINE_DELAY,))[0]]))
+
     def predict(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
         """Measure every edgel from its edge; see `SceneModel.predict`."""
+        xy = self._read_at_once(state, xy)
         feet = self._nearest(state, blocks.view, xy)
         residual = np.einsum('ni,ni->n', feet.pixels.uv - xy, feet.normal)[:, None]
 
         def differentiated(unknowns: Unknowns) -> Linearisation:
             J = np.einsum('nij,ni->nj', feet.by_point, feet.normal)[:, None]
-            by_lens = feet.pixels.by_intrinsics(unknowns.free)
+            by_lens = feet.pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
             shared = np.einsum('nij,ni->nj', by_lens, feet.normal)[:, None]
+            if self.rows is not None:
+                shared[:, 0, unknowns.places((LINE_DELAY,))] = np.einsum(
+                    'ni,ni->n', self.rows.slope, feet.normal)[:, None]
             return Linearisation(residual, feet.ahead, shared, np.empty((len(xy), 1, 0)),
                                  ObjectPoses.by_steps(J, feet.turned))
 
@@ -240,7 +262,11 @@ class KnownEdges(_PoseElimination):
 
     def normals(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """Unit normals (N, 2) of the projected edges, where each lies nearest to its edgel."""
-        return self._nearest(state, view, xy).normal
+        return self._nearest(state, view, self._read_at_once(state, xy)).normal
+
+    def _read_at_once(self, state: ObjectState, xy: np.ndarray) -> np.ndarray:
+        """Return where edgels (N, 2) were when the middle line was read."""
+        return xy if self.rows is None else self.rows.back(xy, state.line_delay_s)
 
     def _nearest(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> _Feet:
         """Project the point of each edge that lies nearest to its edgel."""

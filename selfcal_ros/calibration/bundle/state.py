@@ -165,12 +165,15 @@ class ObjectState(BundleState):
         Of a board that need not be flat; see `BEND_NAMES`.
     row_motion : ndarray, shape (V, 6), optional
         How the object moved while each image was read; see `ObjectRows`.
+    line_delay_s : float
+        Seconds from one line to the next; see `EdgeRows`.
 
     """
 
     path: ObjectPoses
     bend: np.ndarray = field(default_factory=lambda: np.zeros(3))
     row_motion: np.ndarray | None = None
+    line_delay_s: float = 0.0
 
     def of_views(self, kept: np.ndarray) -> ObjectState:
         """Return the state of some of the views."""

@@ -28,12 +28,14 @@ from typing import cast
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.priors import (all_fixed, Prior, Priors, priors_from_facts,
                                                    with_fixed)
 from selfcal_ros.calibration.bundle.state import ObjectState
+from selfcal_ros.calibration.known_object.edge_delay import LineDelay
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
@@ -90,6 +92,8 @@ class EdgeViews:
     cam_from_object : array_like, shape (V, 3, 4)
         Approximate pose in each image, in the order of the frames.
     image_size : (int, int)
+    rows : EdgeRows, optional
+        How far the edges move until they are read; without, `xy` is when the middle line is read.
 
     Raises
     ------
@@ -106,6 +110,7 @@ class EdgeViews:
     xy: np.ndarray
     cam_from_object: np.ndarray
     image_size: tuple[int, int]
+    rows: EdgeRows | None = None
 
     def __post_init__(self) -> None:
         """Check the arrays."""
@@ -144,14 +149,21 @@ class EdgeViews:
         good = (counts >= MIN_EDGELS) & (kinds >= MIN_PRIMITIVES)
         mask = mask & good[view]
         return replace(self, cam_from_object=self.cam_from_object[good],
+                       rows=self.rows and self.rows.select(mask),
                        **{name: getattr(self, name)[mask] for name in (
                            'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
+
+    def read_with(self, line_delay_s: float) -> EdgeViews:
+        """Return the edgels where the edges were when the middle line was read."""
+        if self.rows is None:
+            return self
+        return replace(self, xy=self.rows.back(self.xy, line_delay_s), rows=None)
 
     def bundle(self, priors: Priors, sigma_px: float) -> Bundle[ObjectState]:
         """Return the adjustment of these edgels; sigma_px is that of a distance from an edge."""
         _, view = np.unique(self.frame, return_inverse=True)
-        return Bundle(KnownEdges(self.points, self.tangents), view, view, self.xy, priors=priors,
-                      sigma_px=sigma_px)
+        return Bundle(KnownEdges(self.points, self.tangents, self.rows), view, view, self.xy,
+                      priors=priors, sigma_px=sigma_px)
 
 
 @dataclass(frozen=True)
@@ -173,6 +185,8 @@ class _Judged:
     findings : tuple of Finding
     status : dict of str to str
         Of each parameter.
+    delay : LineDelay or None
+        Where lines are read one after the other.
 
     """
 
@@ -184,6 +198,7 @@ class _Judged:
     sigma_inflation: float
     findings: tuple[Finding, ...]
     status: dict[str, Status]
+    delay: LineDelay | None
 
 
 def calibrate_from_edges(views: EdgeViews, start: Camera, *,
@@ -219,12 +234,14 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     size = views.image_size
     if len(views.frames) < 2:
         return NoEstimate('too_few_edge_images')
+    if facts.shutter == 'global' or facts.line_delay_s is not None:
+        views = views.read_with(facts.line_delay_s or 0.0)
     first = _first_state(views, start)
     found = None
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
     for name in names:
         chosen = replace(facts, distortion=name)
-        fit = _fit(views, first, chosen)
+        fit = _fit_as_read(views, first, chosen)
         if isinstance(fit, NoEstimate):
             continue
         found = _judge(*fit, chosen, size)
@@ -257,6 +274,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         reconstruction=Reconstruction(
             used.frames, np.array(state.path.cam_from_object), points,
             np.column_stack([used.points[first_seen], np.ones(len(points))])),
+        shutter=None if found.delay is None else found.delay.readout(bundle, size),
         findings=found.findings, residuals=residuals)
 
 
@@ -271,7 +289,7 @@ def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts,
         The camera and the pose of the object in each image that was used.
 
     """
-    views = views.select(np.ones(len(views), bool))
+    views = replace(views.select(np.ones(len(views), bool)), rows=None)
     if len(views.frames) < 2:
         return NoEstimate('too_few_edge_images')
     if facts.distortion == 'auto':
@@ -288,7 +306,8 @@ def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts,
 
 
 def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
-    return ObjectState(Lens.of(start), ObjectPoses(views.cam_from_object.copy()))
+    return ObjectState(Lens.of(start), ObjectPoses(views.cam_from_object.copy()),
+                       line_delay_s=0.0 if views.rows is None else views.rows.line_delay_s)
 
 
 def _offsets(bundle: Bundle[ObjectState], state: ObjectState) -> np.ndarray:
@@ -296,6 +315,24 @@ def _offsets(bundle: Bundle[ObjectState], state: ObjectState) -> np.ndarray:
     edges = cast(KnownEdges, bundle.model)
     distance: np.ndarray = bundle.residuals(state) * edges.normals(state, bundle.view, bundle.xy)
     return distance
+
+
+def _fit_as_read(views: EdgeViews, state: ObjectState, facts: CameraFacts,
+                 ) -> tuple[EdgeViews, Bundle[ObjectState], ObjectState] | NoEstimate:
+    """Adjust; the line delay is estimated where it is asked for, or where the edges show it."""
+    fit = _fit(views, state, facts)
+    if views.rows is None or isinstance(fit, NoEstimate) or facts.shutter == 'rolling':
+        return fit
+    used, bundle, optimum = fit
+    if LineDelay.of(bundle, optimum, *_groups(used)).is_certain:
+        return fit
+    return _fit(views.read_with(0.0), replace(state, line_delay_s=0.0), facts)
+
+
+def _groups(views: EdgeViews) -> tuple[np.ndarray, np.ndarray]:
+    """Return edgels that may share errors, (N,) twice: of a primitive, and of it in an image."""
+    _, view = np.unique(views.frame, return_inverse=True)
+    return views.primitive, view * (int(views.primitive.max()) + 1) + views.primitive
 
 
 def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
@@ -339,17 +376,16 @@ def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, fa
            size: tuple[int, int]) -> _Judged:
     """Tell what edges determine, and how well."""
     information = bundle.information(state)
-    _, view = np.unique(views.frame, return_inverse=True)
-    within = view * (int(views.primitive.max()) + 1) + views.primitive
-    by_primitive = cluster_robust_covariance(information, views.primitive, views.xy, size)
-    by_stay = cluster_robust_covariance(information, within, views.xy, size)
-    wider = max((by_primitive, by_stay), key=lambda found: found.sigma_inflation)
+    groups = _groups(views)
+    wider = max((cluster_robust_covariance(information, group, views.xy, size)
+                 for group in groups), key=lambda found: found.sigma_inflation)
     ratio, more = _segments(views, bundle, state, wider.variance_inflation)
     camera = state.camera(*size)
     covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
+    delay = None if views.rows is None else LineDelay.of(bundle, state, *groups)
     return _Judged(views, bundle, state, facts, covariance, wider.sigma_inflation * ratio,
-                   findings, parameter_status(camera, covariance, facts))
+                   findings, parameter_status(camera, covariance, facts), delay)
 
 
 def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
