@@ -26,6 +26,10 @@ CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
 
 #: Arguments that name a file or folder, which must be there where it is given.
 _PATHS = ('bag', 'params_file', 'camera_file')
+#: Arguments that are true or false, and those that are numbers.
+_SWITCHES = ('auto_save', 'composed', 'loop', 'publish_tf', 'respawn', 'rviz', 'use_sim_time',
+             'watch')
+_NUMBERS = {'rate': float, 'model_scale': float, 'watch_port': int}
 #: Arguments that name what only one camera can have.
 _OF_ONE_CAMERA = ('image', 'camera_info', 'driver_camera_info', 'set_camera_info_service')
 
@@ -52,15 +56,34 @@ def launch_problem(values: Mapping[str, str]) -> str:
         for path in those:
             if path and not os.path.exists(path):
                 return f'{name}:={path}: there is no such file or folder.'
+    if values.get('model') == '':
+        return 'model:= must name the object to track, such as model:=/path/to/object.cao.'
+    problem = _value_problem(values)
+    if problem:
+        return problem
     calibrator = values.get('calibrator', CALIBRATORS[0])
     if calibrator not in CALIBRATORS:
         return f'calibrator:={calibrator}: it must be one of {", ".join(CALIBRATORS)}.'
-    if values.get('rviz', '').lower() in ('true', '1') and not is_installed('rviz2'):
+    if values.get('rviz', '').lower() == 'true' and not is_installed('rviz2'):
         return ('rviz:=true needs the package rviz2, which is not installed '
                 '(sudo apt install ros-jazzy-rviz2).')
-    if values.get('watch', '').lower() in ('true', '1') and find_spec('tornado') is None:
+    if values.get('watch', '').lower() == 'true' and find_spec('tornado') is None:
         return ("watch:=true needs Tornado: sudo apt install python3-tornado (or pip install "
                 "'.[watch]' in the clone).")
+    return ''
+
+
+def _value_problem(values: Mapping[str, str]) -> str:
+    """Say which argument has no value of its type; '' if each has."""
+    for name in _SWITCHES:
+        if values.get(name, 'true').lower() not in ('true', 'false'):
+            return f'{name}:={values[name]}: it must be true or false.'
+    for name, number in _NUMBERS.items():
+        try:
+            number(values.get(name, '1'))
+        except ValueError:
+            kind = 'a whole number' if number is int else 'a number'
+            return f'{name}:={values[name]}: it must be {kind}.'
     return ''
 
 

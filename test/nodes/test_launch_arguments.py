@@ -46,6 +46,29 @@ def test_a_launch_looks_at_its_arguments_first(monkeypatch, tmp_path):
     assert launch_problem(fine) == ''
 
 
+@pytest.mark.parametrize('name, wrong, right, words', [
+    ('rate', 'fast', '0.5', 'a number'), ('model_scale', '1/1000', '1e-3', 'a number'),
+    ('watch_port', '80.5', '0', 'a whole number'), ('loop', 'maybe', 'True', 'true or false'),
+    ('composed', 'yes', 'false', 'true or false'), ('respawn', '', 'true', 'true or false')])
+def test_a_value_of_another_type_is_named(name, wrong, right, words):
+    # launch meets it half way, when nodes run already
+    assert launch_problem({name: wrong}) == f'{name}:={wrong}: it must be {words}.'
+    assert launch_problem({name: right}) == ''
+
+
+def test_switches_and_numbers_of_the_launch_files_are_looked_at():
+    text = ''.join((ROOT / 'launch' / f'{name}.launch.py').read_text(encoding='utf-8')
+                   for name in ('agv', 'track'))
+    switches = set(re.findall(r"'(\w+)': \('(?:true|false)'", text))
+    numbers = set(re.findall(r"'(\w+)': \('[\d.]+'", text))
+    assert switches == set(launch_arguments._SWITCHES)
+    assert numbers == set(launch_arguments._NUMBERS)
+
+
+def test_a_launch_that_tracks_needs_a_model():
+    assert 'model:=/path/to/object.cao' in launch_problem({'model': ''})
+
+
 def test_a_package_that_is_not_there_is_not_installed(monkeypatch, tmp_path):
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
     assert not launch_arguments.is_installed('rviz2')
