@@ -315,7 +315,7 @@ def _check_track(args: argparse.Namespace) -> None:
         raise ArgumentError('--track and --object exclude each other: edges of a --model are '
                             'followed, points of an --object are found.')
     if not args.model:
-        raise ArgumentError('--track needs the wireframe of the object: --model object.cao.')
+        raise ArgumentError('--track needs the shape of the object: --model object.cao.')
     if args.image_size:
         raise ArgumentError('--image-size is for tables of tracks; leave it out.')
     if args.mask is not None:

@@ -244,8 +244,8 @@ REFUSALS: dict[str, Phrase] = {
         'sigmas.',
         'The residuals are alike in each region of the image. No lens deviates that much from '
         'its model.',
-        'The scene may be nearly one plane, move, or repeat itself; or the lens is not of the '
-        'stated model (--lens auto).'),
+        'The scene may be nearly one plane, move, or repeat itself; or the lens or the shutter is '
+        'not as stated (--lens auto, --shutter auto).'),
     # facts
     'fact_contradicted': Phrase(
         'The images contradict the stated {fact} by {sigmas:.0f} sigmas: they prefer '

@@ -66,7 +66,7 @@ class ObjectTrackerNode(Node):
         super().__init__('rorapid_tracker')
         p = self.parameters = declare(self, RorapidTrackerParameters)
         if not p.model:
-            raise ArgumentError('rorapid_tracker needs the wireframe of the object: '
+            raise ArgumentError('rorapid_tracker needs the shape of the object: '
                                 '--ros-args -p model:=/path/to/model.cao')
         check_rig_parameters(p)
         self.types = rclpy_types()

@@ -37,6 +37,9 @@ _WORDS = (
     (r'--init\b', 'the parameter start_pose'),
     (r'--robot-(kind|sigma|unit|frame) ([\d.:]+\d|\d)', r'robot_\1:=\2'),
     (r'--robot-(kind|sigma|unit|frame)', r'the parameter robot_\1'),
+    # a node listens, and reads no table
+    (r'--robot takes poses\.csv, a topic of the bag such as', 'the parameter robot takes a topic, '
+     'such as'),
     (r'--robot\b(?!-)', 'the parameter robot'),
     (r'--mount-fact (\w+=)', r'mount_facts:=\1'),
     (r'--mount-fact', 'the parameter mount_facts'),

@@ -87,7 +87,8 @@ class ModelRequest:
                                 'how large it is; state one of them.')
         if self.length_m is None and self.baseline_m is None:
             raise ArgumentError('Two images do not tell how large an object is: state a length '
-                                'of the object, or how far the camera moved.')
+                                'of the object (--length), or how far the camera moved '
+                                '(--baseline).')
         for value, what in ((self.length_m, 'length'), (self.baseline_m, 'distance moved')):
             if value is not None and not 0 < value < 1e6:
                 raise ArgumentError(f'The {what} must be more than 0 and less than a million '

@@ -29,7 +29,7 @@ MAX_BYTES = 1_000_000
 
 
 #: What to give in place of a file that is none.
-KNOWN = 'give one of ROS, OpenCV, Kalibr or COLMAP, or result.json'
+KNOWN = 'give one of ROS, OpenCV, Kalibr, COLMAP or mrcal, or result.json'
 
 
 class _Loader(SAFE_LOADER):  # type: ignore[misc]

@@ -70,7 +70,7 @@ def test_no_object_is_status_1_with_a_reason(capsys):
 
 
 @pytest.mark.parametrize('words, says', [
-    ([], 'how large'), (['--length', '0.1', '--baseline', '1'], 'state one of them'),
+    ([], '(--baseline)'), (['--length', '0.1', '--baseline', '1'], 'state one of them'),
     (['--length', '-1'], 'more than 0'), (['--length', '1e12'], 'less than a million metres'),
     (['--length', '0.1', '--images', '0', '7'], 'no image 7'),
     (['--length', '0.1', '--images', '1', '1'], 'different'),

@@ -150,7 +150,7 @@ def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys, without_f
 
 
 @pytest.mark.parametrize('arguments, words', [
-    (['--track'], 'needs the wireframe'),
+    (['--track'], 'needs the shape'),
     (['--track', '--model', f'{BAG}.model.yaml'], 'where the object is'),
     (['--model', f'{BAG}.model.yaml'], 'add --track'),
     (['--track', '--object', 'chessboard:9x6:0.025'], 'exclude each other'),

@@ -133,8 +133,10 @@ def test_sentences_of_nodes_name_parameters_and_not_options():
         'Pick: `selfcal model --vertices --motion auto`; motion:=auto')
     assert in_parameters('choose one with --topic, or several with --cameras: /a') == (
         'choose one with the parameter topic: /a')
+    assert in_parameters('--robot takes poses.csv, a topic of the bag such as /odom') == (
+        'the parameter robot takes a topic, such as /odom')
     for given in ('--topic', '--init takes', '--motion auto', '--lens plumb_bob', '--camera)',
                   '--camera-model zoom', '--model-scale 1e-3;', '--model-scale (',
-                  '--focal varying', '--trust-facts', '--skew free'):
+                  '--focal varying', '--shutter auto)', '--trust-facts', '--skew free'):
         words = in_parameters(given)
         assert '--' not in words and set(re.findall(r'[a-z_]+', words)) & known

@@ -303,7 +303,7 @@ def test_a_loss_is_told_gives_no_pose_and_ends_where_the_object_is_back(station)
 
 
 @pytest.mark.parametrize('parameters, error, words', [
-    ([], ArgumentError, 'needs the wireframe'),
+    ([], ArgumentError, 'needs the shape'),
     (['model:=/nowhere.cao'], InputError, 'nowhere.cao'),
     (['model:=MODEL', 'start_pose:=1 2 3'], ArgumentError, 'six finite numbers'),
     (['model:=MODEL', 'start_pose:=0 0 nan 0 0 0'], ArgumentError, 'six finite numbers'),
