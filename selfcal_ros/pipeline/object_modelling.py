@@ -29,7 +29,7 @@ from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.rorapid.acquisition.line_matching import match_vertices, MatchedVertices
 from selfcal_ros.rorapid.acquisition.picked_vertices import PickedVertices
-from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
+from selfcal_ros.rorapid.acquisition.plane_loops import facing, plane_loops
 from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, AcquiredModel
 
 #: Where in a clip a partner of the first image is looked for, as a share of its length.
@@ -288,7 +288,8 @@ def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest
     if isinstance(bare, NoEstimate):
         return bare
     if picked is None and request.faces:
-        parts['faces'] = plane_loops(bare.model.vertices, matched.lines)
+        vertices = bare.model.vertices @ bare.rotation.T + bare.translation
+        parts['faces'] = [facing(vertices, loop) for loop in plane_loops(vertices, matched.lines)]
         if not parts['faces']:
             return NoEstimate('no_closed_faces', lines=len(matched.lines))
     # what the points show of their noise, where that is more than usual

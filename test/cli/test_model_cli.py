@@ -19,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from selfcal_ros.geometry.polygon import newell_normal
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.synthetic.objects import tracked_object
@@ -53,6 +54,12 @@ def test_a_model_and_a_drawing_are_written(capsys):
     # what was said is where the tracker begins, in no more digits than a start needs
     start = said.split('--init "')[1].split('"')[0]
     assert 'e-' not in start and all(len(word.lstrip('-')) <= 6 for word in start.split())
+    # the faces look at the camera that saw them
+    model = read_model('it.cao')
+    place = model.vertices + [float(word) for word in start.split()[:3]]
+    for face in model.faces:
+        corners = place[list(face.indices)]
+        assert newell_normal(corners) @ corners[0] < 0
     assert selfcal('track', 'box', '--model', 'it.cao', '--camera', 'camera.yaml', '--init',
                    start) == 0
 

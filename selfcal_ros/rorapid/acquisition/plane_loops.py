@@ -57,6 +57,28 @@ def plane_loops(vertices: np.ndarray, pairs: Iterable[tuple[int, int]]) -> list[
     return _without_markings(vertices, list(loops.values()), tolerance)
 
 
+def facing(vertices: np.ndarray, loop: tuple[int, ...]) -> tuple[int, ...]:
+    """
+    Turn a loop so that its face looks at the camera.
+
+    Programs that draw a model, and ViSP's tracker, take a face for seen from the side where its
+    vertices go round counter-clockwise.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (V, 3)
+        In the frame of the camera.
+    loop : tuple of int
+
+    Returns
+    -------
+    tuple of int
+
+    """
+    corners = vertices[list(loop)]
+    return loop if newell_normal(corners) @ corners.mean(axis=0) < 0 else loop[::-1]
+
+
 def _without_markings(vertices: np.ndarray, loops: list[tuple[int, ...]], tolerance: float,
                       ) -> list[tuple[int, ...]]:
     """Leave out what is drawn on a face: a loop inside of another one in the same plane."""
