@@ -45,6 +45,9 @@ MAX_NOISE_NEAR_TURN = 16.0
 MAX_NOISE_BEHIND_LONG_LENS = 1.02
 #: A free path is preferred to a turn where it leaves less than this share of what that leaves.
 CLEARLY_LESS_NOISE = 0.97
+#: It may leave out few of the observations that the turn explains: what is left of the rest is
+#: no measure of both.
+AS_MANY = 0.97
 #: A free path is weak where rotations leave less than this many times the noise in the middle.
 #: Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
 MAX_NOISE_OF_WEAK_PATH = 10.0
@@ -291,7 +294,9 @@ def _turn_or_path(so_far: MotionsSeen) -> Calibration | NoEstimate | None:
     turn, path = so_far.turn, so_far.best_path
     assert turn is not None
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
-    clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
+    clearer = (path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
+               and not (turn.result and path.observation_count
+                        < AS_MANY * turn.result.observation_count))
     settles = path and turn.leaves_open and not (
         path.focal_sigma_share > WEAK_FOCAL and left_px < CLEARLY_LESS_NOISE * path.noise_sigma_px)
     return path if clearer or settles else turn.result
