@@ -39,7 +39,8 @@ ASKED = '_ARGCOMPLETE'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `selfcal completion`."""
-    parser.add_argument('shell', choices=SHELLS, help='whose TAB key')
+    parser.add_argument('shell', choices=SHELLS, metavar=f'{{{",".join(SHELLS)}}}',
+                        help='whose TAB key')
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = 'Switch it on with\n  ' + '\n  '.join(HOW.values())
 

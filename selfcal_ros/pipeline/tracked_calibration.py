@@ -172,8 +172,10 @@ def calibrate_tracked_object(path: str | Path, model: WireframeModel, facts: Cam
         passage, result, edges = task.best_passage(camera, pose)
         if result and result.shutter is not None and source.clock != 'nominal':
             # the poses between which it moves are those of other instants now
-            task = replace(task, line_delay_s=result.shutter.line_delay_s or 0.0)
-            passage, result, edges = task.best_passage(result.camera, pose)
+            again = replace(task, line_delay_s=result.shutter.line_delay_s or 0.0).best_passage(
+                result.camera, pose)
+            if again[1]:
+                passage, result, edges = again
         readout = task.readout(passage, result) if result else None
         if readout is not None and result:
             result = replace(result, shutter=readout,
