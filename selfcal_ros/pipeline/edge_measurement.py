@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
-from selfcal_ros.calibration.known_object.edge_calibration import EdgeViews
+from selfcal_ros.calibration.known_object.edge_views import EdgeViews
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.options import ReadLines

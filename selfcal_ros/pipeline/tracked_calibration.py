@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.known_object.edge_calibration import (adjust_to_edges,
-                                                                   calibrate_from_edges, EdgeViews)
+                                                                   calibrate_from_edges)
+from selfcal_ros.calibration.known_object.edge_views import EdgeViews
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError, InputError

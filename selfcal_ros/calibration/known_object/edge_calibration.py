@@ -28,21 +28,22 @@ from typing import cast
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
-from selfcal_ros.calibration.bundle.priors import (all_fixed, Prior, Priors, priors_from_facts,
+from selfcal_ros.calibration.bundle.priors import (all_fixed, Prior, priors_from_facts,
                                                    with_fixed)
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.edge_delay import LineDelay
+from selfcal_ros.calibration.known_object.edge_jackknife import (covariance_by_edges,
+                                                                 segment_excess)
+from selfcal_ros.calibration.known_object.edge_views import EdgeViews
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    jackknife_excess,
-                                                                    segment_findings)
-from selfcal_ros.errors import ArgumentError, InputError
+                                                                    segment_findings, widest)
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -58,112 +59,16 @@ MOTION: Motion = 'known-object'
 AUTOMATIC_DISTORTION: tuple[LensChoice, ...] = ('radial2', 'radial1', 'none')
 #: Residuals beyond so many sigmas are outliers.
 OUTLIER_SIGMAS = 4.0
-#: A view keeps its pose only with so many edgels of so many primitives.
-MIN_EDGELS, MIN_PRIMITIVES = 12, 4
 #: Edgels farther than this from the model, rms, do not belong to it (fraction of the diagonal):
 #: the nearest of any edges around would lie about as far.
 MISFIT_FRACTION = 0.00075
 #: Focal lengths beyond these, over the longer side of the image, are those of no lens.
 FOCAL_FRACTIONS = (0.2, 30.0)
-#: Stretches of the sequence that are left out in turn.
-SEGMENTS = 6
 #: Two halves of the sequence may differ in focal length by so many sigmas, or by this fraction.
 ZOOM_SIGMAS, ZOOM_FRACTION = 5.0, 0.02
 #: Where descents stop, in units of sigma²: of rounds that seek the noise and outliers, of parts of
 #: the sequence, which are compared, and of the estimate.
 _OF_ROUNDS, _OF_PARTS, _FINAL = 1e-2, 1e-4, 1e-6
-
-
-@dataclass(frozen=True)
-class EdgeViews:
-    """
-    Edgels of an object with known edges in several images.
-
-    Parameters
-    ----------
-    frame : array_like of int, shape (N,)
-        Image of each edgel, ascending.
-    point, primitive : array_like of int, shape (N,)
-        Control point and primitive that it belongs to, the same in all images.
-    points, tangents : array_like, shape (N, 3)
-        The control point and the direction of its edge, object coordinates, metres.
-    xy : array_like, shape (N, 2)
-        Where the edgel was found, pixels.
-    cam_from_object : array_like, shape (V, 3, 4)
-        Approximate pose in each image, in the order of the frames.
-    image_size : (int, int)
-    rows : EdgeRows, optional
-        How far the edges move until they are read; without, `xy` is when the middle line is read.
-
-    Raises
-    ------
-    InputError
-        If shapes differ or a number is not finite.
-
-    """
-
-    frame: np.ndarray
-    point: np.ndarray
-    primitive: np.ndarray
-    points: np.ndarray
-    tangents: np.ndarray
-    xy: np.ndarray
-    cam_from_object: np.ndarray
-    image_size: tuple[int, int]
-    rows: EdgeRows | None = None
-
-    def __post_init__(self) -> None:
-        """Check the arrays."""
-        for name in ('frame', 'point', 'primitive'):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), np.int64).ravel())
-        for name, width in (('points', 3), ('tangents', 3), ('xy', 2)):
-            object.__setattr__(self, name,
-                               np.asarray(getattr(self, name), float).reshape(-1, width))
-        poses = np.asarray(self.cam_from_object, float).reshape(-1, 3, 4)
-        object.__setattr__(self, 'cam_from_object', poses)
-        lengths = {len(getattr(self, name)) for name in ('frame', 'point', 'primitive', 'points',
-                                                         'tangents', 'xy')}
-        if len(lengths) != 1 or len(np.unique(self.frame)) != len(poses) or \
-                (np.diff(self.frame) < 0).any():
-            raise InputError('Edge views need arrays of one length, frames in ascending order, '
-                             'and one pose a frame.')
-        if not all(np.isfinite(array).all() for array in (self.points, self.tangents, self.xy,
-                                                          poses)):
-            raise InputError('Edge views hold a number that is not finite.')
-
-    def __len__(self) -> int:
-        """Count the edgels."""
-        return len(self.frame)
-
-    @property
-    def frames(self) -> np.ndarray:
-        """The images, ascending."""
-        return np.unique(self.frame)
-
-    def select(self, mask: np.ndarray) -> EdgeViews:
-        """Keep the edgels in mask, of images that keep enough of them."""
-        frames, view = np.unique(self.frame, return_inverse=True)
-        counts = np.bincount(view[mask], minlength=len(frames))
-        pairs = np.unique(np.column_stack([view[mask], self.primitive[mask]]), axis=0)
-        kinds = np.bincount(pairs[:, 0], minlength=len(frames)) if len(pairs) else counts
-        good = (counts >= MIN_EDGELS) & (kinds >= MIN_PRIMITIVES)
-        mask = mask & good[view]
-        return replace(self, cam_from_object=self.cam_from_object[good],
-                       rows=self.rows and self.rows.select(mask),
-                       **{name: getattr(self, name)[mask] for name in (
-                           'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
-
-    def read_with(self, line_delay_s: float) -> EdgeViews:
-        """Return the edgels where the edges were when the middle line was read."""
-        if self.rows is None:
-            return self
-        return replace(self, xy=self.rows.back(self.xy, line_delay_s), rows=None)
-
-    def bundle(self, priors: Priors, sigma_px: float) -> Bundle[ObjectState]:
-        """Return the adjustment of these edgels; sigma_px is that of a distance from an edge."""
-        _, view = np.unique(self.frame, return_inverse=True)
-        return Bundle(KnownEdges(self.points, self.tangents, self.rows), view, view, self.xy,
-                      priors=priors, sigma_px=sigma_px)
 
 
 @dataclass(frozen=True)
@@ -379,34 +284,17 @@ def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, fa
     groups = _groups(views)
     wider = max((cluster_robust_covariance(information, group, views.xy, size)
                  for group in groups), key=lambda found: found.sigma_inflation)
-    ratio, more = _segments(views, bundle, state, wider.variance_inflation)
+    ratio, more = segment_excess(views, bundle, state, wider.variance_inflation)
     camera = state.camera(*size)
-    covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
+    covariance = wider.covariance + more
+    if wider.sigma_inflation > 1:
+        # sums over a dozen edges tell that they share errors, and hardly how large these are
+        covariance = widest(covariance, covariance_by_edges(views, bundle, state))
+    covariance = without_held(to_parameters(covariance, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
     delay = None if views.rows is None else LineDelay.of(bundle, state, *groups)
     return _Judged(views, bundle, state, facts, covariance, wider.sigma_inflation * ratio,
                    findings, parameter_status(camera, covariance, facts), delay)
-
-
-def _segments(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState,
-              variance_inflation: float) -> tuple[float, np.ndarray]:
-    """Return what leaving out a segment of images at a time tells: ratio and covariance."""
-    nothing = 1.0, np.zeros((len(state.lens),) * 2)
-    frames = views.frames
-    if len(frames) < 3 * SEGMENTS:
-        return nothing
-    lens = bundle.unknowns.lens
-    base = bundle.ideal_covariance(state)[lens, lens]
-    shifts, covariances = [], []
-    for gone in np.array_split(frames, SEGMENTS):
-        keep = ~np.isin(views.frame, gone)
-        rest = views.select(keep)
-        part = rest.bundle(bundle.priors, bundle.sigma_px)
-        own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
-        moved = part.optimise(own, iterations=20, tolerance=_OF_PARTS)
-        shifts.append(moved.lens.values - state.lens.values)
-        covariances.append(part.ideal_covariance(moved)[lens, lens])
-    return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
 
 
 def _zoomed(views: EdgeViews, state: ObjectState, sigma_inflation: float) -> NoEstimate | None:

@@ -260,6 +260,40 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added
 
 
+def jackknife_covariance(shifts: np.ndarray) -> np.ndarray:
+    """
+    Return the covariance that a delete-a-group jackknife tells.
+
+    Parameters
+    ----------
+    shifts : ndarray, shape (G, k)
+        Estimates that each leave out one group of observations, less the one from all. Errors
+        may be shared within a group.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        As wide as Student's distribution of so many groups; zero of fewer than four.
+
+    """
+    groups, unknowns = shifts.shape
+    if groups < 4:
+        return np.zeros((unknowns, unknowns))
+    apart = shifts - shifts.mean(axis=0)
+    covariance: np.ndarray = (groups - 1)**2 / (groups * (groups - 3)) * apart.T @ apart
+    return covariance
+
+
+def widest(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the wider of two covariances (k, k) in every direction that the first has."""
+    whiten, unwhiten, free = _whitening(covariance)
+    values, vectors = np.linalg.eigh(whiten @ other[np.ix_(free, free)] @ whiten.T)
+    more = (vectors * np.maximum(values - 1, 0)) @ vectors.T
+    wider = covariance.copy()
+    wider[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
+    return wider
+
+
 def shared_sigma(influence: np.ndarray, sigma: float, label: np.ndarray) -> float:
     """
     Widen the sigma of one unknown by errors that groups of observations share.
