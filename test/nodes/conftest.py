@@ -82,16 +82,27 @@ def ros(tmp_path_factory, domain_id):
         keep_to_itself(patch, tmp_path_factory.mktemp('ros'), domain_id)
         rclpy.init(args=[])
         keeper = Node('keeper', enable_rosout=False, start_parameter_services=False)
+    keeper.own_topics = dds_topics(keeper)
     yield keeper
     keeper.destroy_node()
     rclpy.try_shutdown()
 
 
-def wait_until_alone(keeper, timeout_s=30.0):
-    """Wait until no node of an earlier test is seen; a killed process is, for twenty seconds."""
+def dds_topics(node):
+    """Return the topics that a node sees, of half-made nodes, too."""
+    return {name for name, _ in node.get_topic_names_and_types()}
+
+
+def wait_until_alone(keeper, timeout_s=40.0):
+    """
+    Wait until nothing of an earlier test is seen.
+
+    A process that was killed, or ended before its node was whole, is seen for twenty seconds.
+    """
     deadline = time.monotonic() + timeout_s
-    while (seen := set(keeper.get_node_names()) - {keeper.get_name()}):
-        assert time.monotonic() < deadline, f'nodes of an earlier test live on: {sorted(seen)}'
+    while (seen := (set(keeper.get_node_names()) - {keeper.get_name()})
+           | (dds_topics(keeper) - keeper.own_topics)):
+        assert time.monotonic() < deadline, f'of an earlier test live on: {sorted(seen)}'
         time.sleep(0.02)
 
 
