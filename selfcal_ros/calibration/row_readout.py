@@ -49,6 +49,15 @@ class RowReadout:
     rows: int
     lines: str = 'rows'
 
+    @classmethod
+    def in_time(cls, line_delay_s: float, sigma_s: float, status: str, interval_s: float,
+                size: tuple[int, int], lines: str) -> RowReadout:
+        """Tell of a line delay with what is known of images: their interval and size in pixels."""
+        count = size[1] if lines == 'rows' else size[0]
+        intervals = count / interval_s
+        return cls(line_delay_s, sigma_s, status, line_delay_s * intervals, sigma_s * intervals,
+                   count, lines)
+
     @property
     def readout_s(self) -> float | None:
         """The time in which the whole image is read, seconds."""

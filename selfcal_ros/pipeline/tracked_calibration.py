@@ -223,10 +223,8 @@ class _Task:
             return replace(found, line_delay_s=None, sigma_s=None)
         if not stated_s or passage.interval_s is None:
             return found
-        width, height = self.source.image_size or (0, 0)
-        count = height if self.lines == 'rows' else width
-        return RowReadout(stated_s, 0.0, 'held', stated_s * count / passage.interval_s, 0.0, count,
-                          self.lines)
+        return RowReadout.in_time(stated_s, 0.0, 'held', passage.interval_s,
+                                  self.source.image_size or (0, 0), self.lines)
 
     def best_passage(self, camera: Camera, pose: Pose,
                      ) -> tuple[_Passage, Calibration | NotCalibrated, EdgeViews | None]:

@@ -229,7 +229,7 @@ def _fit_as_read(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     if views.rows is None or isinstance(fit, NoEstimate) or facts.shutter == 'rolling':
         return fit
     used, bundle, optimum = fit
-    if LineDelay.of(bundle, optimum, *_groups(used)).is_certain:
+    if LineDelay.of(bundle.information(optimum), bundle, optimum, *_groups(used)).is_certain:
         return fit
     return _fit(views.read_with(0.0), replace(state, line_delay_s=0.0), facts)
 
@@ -292,7 +292,8 @@ def _judge(views: EdgeViews, bundle: Bundle[ObjectState], state: ObjectState, fa
         covariance = widest(covariance, covariance_by_edges(views, bundle, state))
     covariance = without_held(to_parameters(covariance, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
-    delay = None if views.rows is None else LineDelay.of(bundle, state, *groups)
+    delay = None if views.rows is None else LineDelay.of(information, bundle, state,
+                                                         *groups)
     return _Judged(views, bundle, state, facts, covariance, wider.sigma_inflation * ratio,
                    findings, parameter_status(camera, covariance, facts), delay)
 

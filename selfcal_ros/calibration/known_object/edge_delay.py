@@ -21,6 +21,7 @@ from typing import cast
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.shutter import LINE_DELAY
 from selfcal_ros.calibration.bundle.state import ObjectState
@@ -56,12 +57,15 @@ class LineDelay:
         return abs(self.value_s) > CERTAIN_SIGMAS * self.sigma_s
 
     @classmethod
-    def of(cls, bundle: Bundle[ObjectState], state: ObjectState, *labels: np.ndarray) -> LineDelay:
+    def of(cls, information: Information, bundle: Bundle[ObjectState], state: ObjectState,
+           *labels: np.ndarray) -> LineDelay:
         """
         Read the line delay of an adjustment.
 
         Parameters
         ----------
+        information : Information
+            Of the adjustment.
         bundle : Bundle
             Of edges with `EdgeRows`.
         state : ObjectState
@@ -72,7 +76,6 @@ class LineDelay:
         """
         edges = cast(KnownEdges, bundle.model)
         assert edges.rows is not None
-        information = bundle.information(state)
         place = bundle.unknowns.places((LINE_DELAY,))[0]
         sigma = float(np.sqrt(information.covariance[place, place]))
         influence = information.influence[:, place]
@@ -86,7 +89,5 @@ class LineDelay:
         """Return it as a result says it, for images of a size (width, height)."""
         rows = cast(KnownEdges, bundle.model).rows
         assert rows is not None
-        count = size[1] if rows.lines == 'rows' else size[0]
-        intervals = count / rows.interval_s
-        return RowReadout(self.value_s, self.sigma_s, 'estimated', self.value_s * intervals,
-                          self.sigma_s * intervals, count, rows.lines)
+        return RowReadout.in_time(self.value_s, self.sigma_s, 'estimated', rows.interval_s, size,
+                                  rows.lines)

@@ -287,8 +287,7 @@ def jackknife_covariance(shifts: np.ndarray) -> np.ndarray:
 def widest(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the wider of two covariances (k, k) in every direction that the first has."""
     whiten, unwhiten, free = _whitening(covariance)
-    values, vectors = np.linalg.eigh(whiten @ other[np.ix_(free, free)] @ whiten.T)
-    more = (vectors * np.maximum(values - 1, 0)) @ vectors.T
+    more = _positive_part(whiten @ other[np.ix_(free, free)] @ whiten.T - np.eye(len(whiten)))
     wider = covariance.copy()
     wider[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return wider
@@ -367,6 +366,12 @@ def _cluster_excess(effects: np.ndarray, label: np.ndarray, against: np.ndarray,
     ratio = np.trace(gram) / np.trace(against)
     if ratio < 1 + SIGNIFICANT * spread:
         return nothing
-    values, vectors = np.linalg.eigh(gram - against)
-    more = (vectors * np.maximum(values, 0)) @ vectors.T
+    more = _positive_part(gram - against)
     return float(np.sqrt(1 + np.trace(more) / unknowns)), more
+
+
+def _positive_part(matrix: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix without its negative eigenvalues."""
+    values, vectors = np.linalg.eigh(matrix)
+    part: np.ndarray = (vectors * np.maximum(values, 0)) @ vectors.T
+    return part
