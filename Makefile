@@ -1,7 +1,8 @@
 # make demo      set up, replay the recorded drive through the nodes, print the calibration
 # make demo-arm  the same with the recorded moves of an arm
 # make demo-track  follow the recorded object through the nodes, print the errors of the poses
-# make test      set up, run every test
+# make test      set up, run the tests in ten minutes or less
+# make test-all  the same with those that take long: before a release, and where you change an estimate
 # make lint      style and types only
 # make docs      build the site of the documents in out/site
 # make bench     print every figure that the README claims
@@ -27,9 +28,9 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # tests start the same programs again and again: each is compiled once, also for those who
 # otherwise let Python leave no compiled files behind
-test: export PYTHONDONTWRITEBYTECODE :=
+test test-all: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo demo-arm demo-track test lint docs bench clean help
+.PHONY: demo demo-arm demo-track test test-all lint docs bench clean help
 
 demo: $(VENV)/package
 	@$(BIN)/selfcal demo --output-dir out/demo --force
@@ -40,9 +41,14 @@ demo-arm: $(VENV)/package
 demo-track: $(VENV)/package
 	@$(BIN)/selfcal demo --recording object --output-dir out/demo-track --force
 
+RUN_TESTS := ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist worksteal \
+	--max-worker-restart 2 $(REQUIRE)
+
 test: $(VENV)/package $(VENV)/test-tools
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist worksteal \
-		--max-worker-restart 2 $(REQUIRE) $(PYTEST_ARGS)
+	$(RUN_TESTS) -m 'not long' --durations 20 --durations-min 4 $(PYTEST_ARGS)
+
+test-all: $(VENV)/package $(VENV)/test-tools
+	$(RUN_TESTS) $(PYTEST_ARGS)
 
 lint: $(VENV)/test-tools
 	$(BIN)/python -m flake8 .

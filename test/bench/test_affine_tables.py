@@ -28,6 +28,7 @@ def test_structure_measures_are_zero_and_right_angles_on_the_true_grid():
     assert distance > 1 and pattern > 0.1 and abs(angle - 90) > 5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', affine_tables.ROWS)
 def test_every_row_is_nearer_the_truth_than_the_thesis(name):
     truth = row_of(grid_camera().K)

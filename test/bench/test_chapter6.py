@@ -51,6 +51,7 @@ def test_true_lines_are_the_screw_axes_of_the_pairs():
 
 
 # the plain case at 0.3 px is that of `si_triplet`, in test_bench_smoke
+@pytest.mark.long
 @pytest.mark.parametrize('case', [
     coverage.Case(3, 1.0), coverage.Case(3, 0.3, outliers=0.1),
     coverage.Case(3, 0.3, distortion='radial2'),

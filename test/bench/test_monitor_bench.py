@@ -103,6 +103,7 @@ def test_no_event_in_three_hundred_hours_bounds_the_rate_by_one_in_a_hundred():
     assert 100 * rate_bound(0, 300) < 1 < 100 * rate_bound(1, 300)
 
 
+@pytest.mark.long
 def test_windows_to_first_order_err_as_whole_ones_do(measured):
     """The same errors, adjusted wholly and to first order."""
     monitor = ChangeMonitor(measured.calibration)

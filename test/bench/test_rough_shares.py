@@ -62,6 +62,7 @@ def test_a_run_has_the_camera_with_the_aspect_ratio_that_is_stated_with_a_sigma(
     assert len(rough_shares.troubles()) == 13
 
 
+@pytest.mark.long
 def test_a_head_is_no_path_that_leaves_out_what_contradicts_it():
     """A free path left 5 % less noise without a tenth of the observations: 6.3 sigmas off."""
     run = rough_shares.one_run(('head, lever of 8 cm', 549))

@@ -86,6 +86,7 @@ def test_a_missed_bar_is_told(capsys, monkeypatch):
     assert 'largest difference from the nominal share' in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_cube_sequence_is_followed_and_visp_agrees():
     if data_folder('visp_mbt_cube') is None:
         pytest.skip('the recorded sets (../shared/data) are not there')

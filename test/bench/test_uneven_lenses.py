@@ -15,9 +15,11 @@
 
 from bench.lenses.uneven_lenses import bumps, one_run, walks
 import numpy as np
+import pytest
 from selfcal_ros import Tracks
 
 
+@pytest.mark.long
 def test_eight_images_of_a_drive_are_no_turn_about_a_far_point():
     """The principal point was 6 to 10 sigmas off in silence; the bench has more of them."""
     outcome = one_run(38, 40)

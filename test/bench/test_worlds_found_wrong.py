@@ -40,6 +40,7 @@ def calibrated(name, seed):
                                 / sigma))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name, seed, told', [
     # refused as unexplained: focal lengths that alternate were bent by another principal point
     ('agv_mix2_f8pp6', 13007, 'other_camera_left_out'),
@@ -57,12 +58,14 @@ def test_it_is_right_and_the_cause_is_told(name, seed, told):
     assert worst < MAX_SIGMAS and told in [one.kind for one in result.findings]
 
 
+@pytest.mark.long
 def test_a_view_that_is_off_by_itself_on_rough_ground_is_no_body():
     result, _ = calibrated('agv_wob2.0', 20003)
 
     assert result and 'tracks_moving' not in [one.kind for one in result.findings]
 
 
+@pytest.mark.long
 def test_rows_that_are_read_in_turn_are_no_things_that_move():
     result, worst = calibrated('gen_rs16', 901)
 
@@ -79,6 +82,7 @@ def test_a_wrong_aspect_ratio_that_the_images_hardly_doubt_is_told():
     assert 'aspect ratio' in told
 
 
+@pytest.mark.long
 def test_every_image_three_times_is_not_mirrored():
     """One pair that is seen from quite another side counted nine times, and looked mirrored."""
     result, worst = calibrated('gen_dup', 16002)
@@ -100,6 +104,7 @@ def test_it_is_refused_by_the_name_of_the_cause(name, seed, kind):
     assert not result and result.kind == kind
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name, seed, truth', [
     # what contradicts a wrong fact most is left out under it: 327.0 +- 0.2 was called preferred
     ('agv_pp_wrong5', 20005, {'cx': 328.0, 'cy': 235.0}),
@@ -112,6 +117,7 @@ def test_what_the_images_prefer_to_a_wrong_fact_is_true(name, seed, truth):
         assert abs(one['value'] - truth[one['name']]) < 3.5 * one['sigma']
 
 
+@pytest.mark.long
 def test_of_all_troubles_at_once_it_is_right():
     """
     A head, whose lever was taken for a long one behind another kind of lens.
@@ -134,6 +140,7 @@ def test_each_of_few_views_is_read_in_turn_by_its_own_motion():
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
+@pytest.mark.long
 def test_noise_of_rows_does_not_make_all_views_turn_alike():
     """What seemed shared acted as a skew or an aspect ratio: 4 sigma and 4 % off, in silence."""
     world, _ = everyday.build('legged', 2643)
@@ -144,6 +151,7 @@ def test_noise_of_rows_does_not_make_all_views_turn_alike():
     assert abs(result.camera.K[0, 0] / world.truth[0] - 1) < 0.01
 
 
+@pytest.mark.long
 def test_a_vehicle_that_stops_often_is_no_head():
     """A turn about a point put points behind the camera, and was refused for that at once."""
     world, _ = everyday.build('stops often', 106)
@@ -155,6 +163,7 @@ def test_a_vehicle_that_stops_often_is_no_head():
     assert result and world.away(result) < MAX_SIGMAS
 
 
+@pytest.mark.long
 def test_it_is_said_that_few_of_the_views_are_connected():
     """Three of ten views alone share tracks: 12 sigma off, and nothing was said."""
     world, _ = everyday.build('drone, straight down', 401)

@@ -53,6 +53,7 @@ def test_chain_is_exact_without_noise(count, facts, refine):
     assert distance_error(X.reshape(2, CORNERS, CORNERS, 3)) < 1e-6
 
 
+@pytest.mark.long
 def test_stated_covariance_is_that_of_the_estimates():
     values, stated = [], []
     for seed in range(60):

@@ -96,6 +96,7 @@ def test_a_bent_lens_is_found_and_the_truth_covered():
     assert np.isfinite(covered).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('bend_px', [2.0, 4.0])
 def test_what_bends_more_than_a_lens_is_no_calibration(bend_px):
     tracks, _ = drive(0, bend_px)

@@ -38,6 +38,7 @@ def advised(result):
     return text[text.find(f'{VIEWS} more images'):] if 'more images' in text else ''
 
 
+@pytest.mark.long
 def test_a_near_circle_is_told_to_drive_an_s():
     _, result = calibrated('on the spot, 0.1 m off the axis', 0)
 

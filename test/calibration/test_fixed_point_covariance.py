@@ -133,6 +133,7 @@ def test_circular_point_lies_in_its_ellipsoid(rng):
     assert np.mean(distances) / 4 == pytest.approx(1, abs=0.4)
 
 
+@pytest.mark.long
 def test_circular_camera_lies_in_its_ellipsoid(rng):
     facts, rows = CameraFacts(aspect_ratio=1.0, skew=0.0), [0, 2, 3]
     distances = []

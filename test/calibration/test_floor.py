@@ -147,6 +147,7 @@ def test_no_height_comes_from_a_torn_path():
     assert floor_below(torn, tracks).kind == 'floor_on_torn_path'
 
 
+@pytest.mark.long
 def test_a_camera_that_is_not_known_well_leaves_the_height_open_by_as_much():
     """Of a camera that looks down, focal length and height go together: 5 sigmas off."""
     rng = np.random.default_rng(2)

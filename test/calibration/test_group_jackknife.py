@@ -58,6 +58,7 @@ def optimised_without(fit, stretch):
             bundle.information(state).lens_covariance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', ['floor and wall', 'rolling shutter, a tenth of the interval'])
 def test_one_step_does_what_the_iterations_do(name):
     fit = fit_of(name)

@@ -48,6 +48,7 @@ def test_what_the_images_determine_is_found(name):
     assert away < 4
 
 
+@pytest.mark.long
 def test_a_floor_alone_is_enough():
     sequence = vehicle(np.random.default_rng([0, 5]), s_curve(), surface=ground, count=60)
     result = calibrate(sequence.tracks, facts=SQUARE)
@@ -57,6 +58,7 @@ def test_a_floor_alone_is_enough():
 
 
 # `bench hard_scenes` has more seeds of all of them
+@pytest.mark.long
 def test_a_wall_does_not_take_its_mirror_image():
     result, away = outcome('wall only', 0)
 
@@ -83,6 +85,7 @@ def test_what_the_images_leave_open_is_refused(name, kind):
     assert result.kind == kind
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', ['on the spot, no translation', 'on the spot, 1 mm off the axis',
                                   'far scene, 2000 steps away'])
 def test_rotation_is_told_from_motion_with_little_parallax(name):
@@ -92,6 +95,7 @@ def test_rotation_is_told_from_motion_with_little_parallax(name):
     assert away < 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed, refused', list(enumerate((True, False))))
 def test_a_long_valley_widens_the_sigmas(seed, refused):
     """Around a near axis the curvature at the optimum promises sigmas that are too small."""

@@ -47,6 +47,7 @@ def errors(result, truth=FISHEYE):
                      K[1, 2] / result.sigma['cy']])
 
 
+@pytest.mark.long
 def test_the_sigmas_hold_what_the_model_of_a_fisheye_lacks():
     square = CameraFacts(aspect_ratio=1.0, skew=0.0)
     plain = calibrate(decentred(0.0, 0.0, 3), facts=square)
@@ -59,6 +60,7 @@ def test_the_sigmas_hold_what_the_model_of_a_fisheye_lacks():
     assert bent.sigma['cx'] > 1.5 * plain.sigma['cx']
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('f, coefficients, seed, p', [
     (268, (0.133, 0.065, -0.106, 0.04), 1, 0.0005),
     (277, (0.174, -0.172, 0.132, -0.04), 0, 0.0005),
@@ -73,6 +75,7 @@ def test_a_decentred_fisheye_is_not_taken_for_a_rational_lens_that_has_p1_and_p2
     assert np.abs(errors(result, camera)).max() < 3
 
 
+@pytest.mark.long
 def test_a_barrel_that_a_decentred_fisheye_explains_alike_keeps_its_sigmas():
     """The rival's camera counts with its decentring: without, sigma was 2.7 times as large."""
     camera = Camera([[540, 0, 328], [0, 540, 235], [0, 0, 1]], (-0.3, 0.1, 1e-3, 5e-4, 0), 640,

@@ -36,6 +36,7 @@ def curve():
     return sequence, calibrate(sequence.tracks, motion='planar', facts=FACTS)
 
 
+@pytest.mark.long
 def test_a_curve_of_six_degrees_gives_a_hint_that_is_true_and_no_calibration(curve):
     sequence, result = curve
     assert not result and result.is_hint and result.kind == HINT
@@ -102,6 +103,7 @@ def test_the_widest_turn_is_between_any_two_views():
     assert widest_turn_rad(np.eye(3)[None]) == 0
 
 
+@pytest.mark.long
 def test_a_plane_that_nobody_stated_must_explain_a_clip_as_well_as_free_motion():
     """A hand goes aside, turns by 6 degrees and trembles: beside that no plane is likely."""
     t, rng = np.linspace(-0.5, 0.5, 8), np.random.default_rng(4)

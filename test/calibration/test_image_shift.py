@@ -59,6 +59,7 @@ def assert_true(result, camera, most_focal):
     assert abs(away['fx']) < most_focal * camera.K[0, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind, sigma_px', [
     (hand, 1.5), (turn, 1.5), (drive, 15.0), (turn, 15.0)])
 def test_the_camera_of_shifted_images_is_found_and_the_shifts_are_told(kind, sigma_px):
@@ -76,6 +77,7 @@ def test_the_camera_of_shifted_images_is_found_and_the_shifts_are_told(kind, sig
     assert 'motion_suggestion' not in kinds(result)
 
 
+@pytest.mark.long
 def test_a_fisheye_may_be_stabilised():
     fisheye = Camera([[300, 0, 325], [0, 300, 242], [0, 0, 1]], [-0.02, 0.003, 0, 0], 640, 480,
                      model='equidistant')
@@ -86,6 +88,7 @@ def test_a_fisheye_may_be_stabilised():
     assert 'images_shifted' in kinds(result) and result.camera.model == 'equidistant'
 
 
+@pytest.mark.long
 def test_rows_may_be_read_in_turn_of_shifted_images():
     tracks, camera, _ = shifted(drive, 1, 3.0, readout_s=0.02)
     result = calibrate(tracks, facts=SQUARE)
@@ -94,6 +97,7 @@ def test_rows_may_be_read_in_turn_of_shifted_images():
     assert {'images_shifted', 'rolling_shutter'} < set(kinds(result))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind, readout_s', [(hand, 0.0), (drive, 0.02), (turn, 0.02)])
 def test_images_that_stand_still_are_not_shifted(kind, readout_s):
     tracks, camera, _ = shifted(kind, 2, 0.0, readout_s=readout_s, points=150)
@@ -152,6 +156,7 @@ def zooming(kind, seed, sigma_px, growth, **world):
     return replace(tracks, xy=zoomed + shift), camera
 
 
+@pytest.mark.long
 def test_the_lens_of_shifted_images_may_zoom():
     # they were taken for rows read in turn, with a sigma four times as large
     tracks, camera = zooming(drive, 1, 2.0, 0.04, points=150)

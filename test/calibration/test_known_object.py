@@ -108,6 +108,7 @@ def test_far_origin_and_millimetres_change_nothing():
     np.testing.assert_allclose(X, 1000 * expected, rtol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('target, poses', [(BOARD, BOARD_POSES), (CORNER, corner_poses())],
                          ids=['board', 'corner'])
 def test_covariance_is_that_of_many_runs(target, poses):

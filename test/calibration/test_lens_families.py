@@ -29,6 +29,7 @@ def sigmas_off(found, truth):
 
 
 # measured lenses as the rational model has them: 8 and 4 sigma off in silence before
+@pytest.mark.long
 @pytest.mark.parametrize('f, coefficients', [
     (327.45, (2.6641, -0.0341, -0.0005, 0.0006, -0.0092, 2.5853, 0, 0)),
     (453.29, (1.2685, -0.6677, 0.0003, 0.0014, 0.6132, 1.0964, 0, 0))])
@@ -53,6 +54,7 @@ def test_what_a_wrong_start_leaves_is_no_noise_to_weigh_families_by():
     assert sigmas_off(found, truth).max() < 4
 
 
+@pytest.mark.long
 def test_a_fisheye_without_a_barrel_is_held_against_the_others():
     # a measured lens of a corner at 68 degrees that bulges outwards: rational, 8 sigma off
     truth = Camera([[212.38, 0, 321.85], [0, 212.38, 238.09], [0, 0, 1]],

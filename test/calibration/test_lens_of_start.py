@@ -83,6 +83,7 @@ def test_pairs_where_a_supposed_lens_has_no_rays_are_no_cause_for_a_warning():
                                            planar)).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('stated, begun', [
     ('equidistant', 'plumb_bob'), ('rational', 'plumb_bob'), ('plumb_bob', 'equidistant'),
     ('plumb_bob', 'rational_polynomial'), ('equidistant', 'rational_polynomial')])

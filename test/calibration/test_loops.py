@@ -36,6 +36,7 @@ FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 
 # both were refused: starts by a wrong focal length cannot close the loop, and points seen on the
 # spot alone were put beside the camera; `bench loops` has a hundred of each
+@pytest.mark.long
 @pytest.mark.parametrize('drawn, seed', [(laps, 8), (pauses, 15)])
 def test_a_drive_that_comes_back_or_pauses_is_calibrated(drawn, seed):
     scene = drawn(np.random.default_rng(seed))

@@ -91,6 +91,7 @@ def watched(scene, seed, camera_at=lambda view: TRUTH, monitor=None, **span):
     return monitor, alarm
 
 
+@pytest.mark.long
 def test_scores_of_the_true_camera_scatter_as_they_say(scene):
     free = ChangeMonitor(calibration()).free
     scores = [window_score(tracks, TRUTH, free, np.random.default_rng(0))
@@ -102,6 +103,7 @@ def test_scores_of_the_true_camera_scatter_as_they_say(scene):
     assert np.mean([score.noise_px for score in scores]) == pytest.approx(NOISE_PX, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_camera_that_stays_raises_no_alarm(scene):
     error = SIGMAS * [1.0, -1.0, 1.0]
     off = moved(1 + error[0] / 520, error[1], error[2])
@@ -128,6 +130,7 @@ def test_a_sudden_change_is_noticed_within_fifty_keyframes_and_named(scene, chan
     assert stated.since_frame - WINDOW < onset <= stated.clear_from_frame < onset + 2 * WINDOW
 
 
+@pytest.mark.long
 def test_a_slow_drift_is_noticed_before_it_is_over(scene):
     monitor, alarm = watched(scene, 6, lambda view: moved(1 + 0.03 * view / VIEWS))
     assert alarm is not None

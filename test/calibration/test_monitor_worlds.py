@@ -93,6 +93,7 @@ def test_rows_that_are_read_in_turn_do_not_look_like_another_camera():
     assert squares(shaky) < chi2.isf(1e-3, len(FREE))
 
 
+@pytest.mark.long
 def test_neighbours_that_are_seconds_away_tell_a_delay_in_intervals():
     for interval_s, readout_s in ((0.3, 0.03), (0.1, 0.03)):
         rng = np.random.default_rng(1)

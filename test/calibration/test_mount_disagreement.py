@@ -53,6 +53,7 @@ def test_inverse_poses_are_told_and_right_ones_are_not_suspected(kind, seed):
     assert mount_camera(calibration, poses).mount
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind, apart', [('drive', 2.0), ('hand', -3.3)])
 def test_clocks_seconds_apart_are_named_and_right_once_that_is_stated(kind, apart):
     """Of a drive two seconds off, x and the scale came out 4 to 5 sigmas off in silence."""
@@ -127,6 +128,7 @@ def angles(poses):
     return replace(poses, rotation=Rotation.from_rotvec(own).as_matrix())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('spoil, kind, told', [
     (angles, 'body_angles_as_vectors', 'seem to be roll, pitch and yaw'),
     (shifted, 'body_poses_shifted', 'image before'),

@@ -147,6 +147,7 @@ def variance_of(rng, kind, views=9):
     return variance_ratio(*adjustment.of_poses(state, errors, keep), len(off), adjustment.free)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind', [ODOMETRY, ABSOLUTE])
 def test_poses_that_err_as_stated_weigh_as_stated(kind):
     rng = np.random.default_rng(5)

@@ -61,6 +61,7 @@ def test_a_circle_shows_roll_and_pitch_in_numbers_and_asks_for_another_radius():
         assert 'of base_link is (' in axis_sentence(mount)
 
 
+@pytest.mark.long
 def test_an_even_turn_does_not_tell_the_offset_of_the_clocks_by_its_noise():
     """One circle at one speed gave 0.43 s with a sigma of 0.03 s where 0.037 s were true."""
     _, mount = _on_a_circle(4, True)
@@ -76,6 +77,7 @@ def test_an_angle_that_has_no_value_of_its_own_points_to_the_axis():
     assert not rows['pitch'].value and 'axis' in rows['pitch'].why
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('facts, sign, told', [
     (MountFacts(), 1, False), (MountFacts(), -1, True),
     (MountFacts(roll=(np.pi, 0.1)), -1, False)])

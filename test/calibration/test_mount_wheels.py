@@ -18,6 +18,7 @@ from dataclasses import replace
 from bench.mounts import mount_worlds as worlds
 from bench.mounts.mounts import simulated
 import numpy as np
+import pytest
 from selfcal_ros.calibration.mount import NAMES
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -34,6 +35,7 @@ def in_sigmas(mount, world, calibration, late):
     return errors[use] / np.sqrt(np.diag(mount.covariance))[use]
 
 
+@pytest.mark.long
 def test_of_two_offsets_of_the_clocks_the_likelier_is_taken():
     # turns and ways are alike at a wrong offset, too, with larger errors of the wheels
     world, calibration, poses, stamps, late = simulated(

@@ -120,6 +120,7 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     assert _in_sigmas(mount, errors)[0] < 24.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(2))
 def test_odometry_that_begins_anew_tells_the_same_as_without(seed):
     """The offset of the clocks was up to a hundred sigmas off, or unknown."""
@@ -245,6 +246,7 @@ def test_poses_that_are_anchored_move_on_at_their_rates_from_there():
     assert np.abs(moved.position - before.position).max() > 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(2))
 def test_noise_of_poses_at_a_high_rate_does_not_pass_for_speed(seed):
     """Offsets of the clocks came out up to 0.3 s away, by 35 sigmas."""
@@ -335,6 +337,7 @@ def test_a_known_height_is_a_fact():
     assert held.sigma['z'] == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('yaw_off', [0.1, 0.5, 2.0])
 def test_a_held_fact_that_cannot_be_is_refused(yaw_off):
     rng, world, calibration = _hand(3)
@@ -350,6 +353,7 @@ def test_a_held_fact_that_cannot_be_is_refused(yaw_off):
         assert refused.kind == 'mount_facts_wrong' and 'yaw' in refused.reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(2))
 def test_an_angle_that_is_held_and_true_is_no_obstacle(seed):
     """A third of such drives was refused, or ended with a singular matrix."""
@@ -441,6 +445,7 @@ def _bend(seed, turned_deg, facts):
     return world, mount_camera(worlds.calibrated(rng, world), poses, facts=facts).mount
 
 
+@pytest.mark.long
 def test_a_slight_bend_leaves_open_which_side_is_up():
     for seed in range(2):
         world, mount = _bend(seed, 3.0, MountFacts())
@@ -452,6 +457,7 @@ def test_a_slight_bend_leaves_open_which_side_is_up():
         assert np.linalg.norm(seen - mount.axis.in_camera) < 3.5 * np.sqrt(2) * mount.axis.sigma
 
 
+@pytest.mark.long
 def test_a_roll_that_is_known_roughly_tells_which_side_is_up():
     world, mount = _bend(0, 3.0, MountFacts(roll=(0.0, 0.3)))
     truth = mount_angles(world.T_body_camera[:3, :3])[0]

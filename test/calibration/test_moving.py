@@ -195,6 +195,7 @@ def test_few_tracks_that_move_are_told_where_they_are_seen_all_the_time():
     assert not moving_findings(labels, np.full(len(label), 6))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed, noise_px', [(0, 0.0), (1, 0.05)])
 def test_gross_errors_that_repeated_frames_share_are_no_jumps(seed, noise_px):
     rng = np.random.default_rng(seed)
@@ -302,6 +303,7 @@ def test_a_body_that_keeps_ahead_is_found_by_its_size():
     assert set(members) <= set(range(26)) and len(members) >= 24
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_what_agrees_with_a_body_in_a_pair_by_chance_is_no_part_of_it(seed):
     """Points that pass by, with gross errors, are more than those of a thing that keeps ahead."""
@@ -448,6 +450,7 @@ def test_a_few_tracks_make_no_zoom(seed):
                                path), problem)
 
 
+@pytest.mark.long
 def test_long_tracks_of_a_thing_that_leads_do_not_lead_astray():
     rng = np.random.default_rng(12)
     tracks = world(rng, moving=45)

@@ -162,6 +162,7 @@ def waved_far_apart():
         return sequence, calibrate(sequence.tracks, facts=SQUARE), asked
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind, seed', [(hand, 0), (hand, 2), (drive, 0)])
 def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed, waved_far_apart):
     # before, they were 16.6 px off in fx, refused, and 32 px off in cy
@@ -179,6 +180,7 @@ def test_views_far_apart_move_by_themselves_while_they_are_read(kind, seed, wave
     assert result.shutter is None
 
 
+@pytest.mark.long
 def test_views_move_by_themselves_beside_a_zoom():
     # before, it was refused as unexplained: rows were not asked for beside a zoom
     rng = np.random.default_rng([2, 5])
@@ -206,6 +208,7 @@ def test_motion_that_no_size_is_enough_for_is_not_that_of_rows(waved_far_apart, 
         assert own_rows_choice.with_own_rows(*given) is given[0]
 
 
+@pytest.mark.long
 def test_columns_of_upright_photographs_are_read_in_turn():
     sequence = far_apart(hand, 1)
     tracks, K = sequence.tracks, CAMERA.K
@@ -220,6 +223,7 @@ def test_columns_of_upright_photographs_are_read_in_turn():
     assert abs(error[0]) < 0.004 * 520 and result.noise_sigma_px < 0.23
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind', [hand, drive])
 def test_views_read_at_once_do_not_move_by_themselves(kind):
     for seed in range(2):

@@ -77,6 +77,7 @@ def test_a_short_lever_is_found_and_the_result_is_right_from_any_start():
     assert np.ptp([result.camera.K[0, 0] for result in results]) < 0.1 * results[0].sigma['fx']
 
 
+@pytest.mark.long
 def test_a_head_with_a_lever_may_zoom():
     # it was taken for a free path, 4.1 sigma off
     rng = np.random.default_rng([2, 43])
@@ -90,6 +91,7 @@ def test_a_head_with_a_lever_may_zoom():
     assert np.abs(result.focal.fx / result.focal.fx[0] / (fx / fx[0]) - 1).max() < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed, turn_deg, views', [(101, 28, 14), (104, 36, 12)])
 def test_a_head_that_turns_far_is_told_though_homographies_reach_few_views(seed, turn_deg, views):
     # taken for a free path, or refused for points behind the camera, before
@@ -223,6 +225,7 @@ def arc(seed, lever=(-0.05, 0.0, 0.0), turn_deg=90.0, views=14, **options):
                  **options)
 
 
+@pytest.mark.long
 def test_turns_about_one_axis_have_their_scene_before_the_camera():
     result = calibrate(arc(2).tracks, facts=STRAIGHT)
 
@@ -230,6 +233,7 @@ def test_turns_about_one_axis_have_their_scene_before_the_camera():
     assert away(result) < 4
 
 
+@pytest.mark.long
 def test_an_arc_is_started_from_the_nearest_point_of_its_axis(monkeypatch):
     """From one 12 levers along it points were left behind the camera, and the arc was refused."""
     started, first_fit = [], pivot.first_fit
@@ -241,6 +245,7 @@ def test_an_arc_is_started_from_the_nearest_point_of_its_axis(monkeypatch):
     assert abs(along) < 0.05 * np.linalg.norm(started[0])
 
 
+@pytest.mark.long
 def test_a_long_lever_is_no_free_motion():
     camera = Camera(CAMERA.K, (-0.12, 0.05, 0, 0), 640, 480)
     sequence = head(30, (0.0, -0.024, -0.08), 20.0, 12, 200, camera=camera)
@@ -299,6 +304,7 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
     assert abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx']
 
 
+@pytest.mark.long
 def test_a_camera_that_rotations_contradict_is_no_calibration_where_they_leave_as_little():
     # a lever of 3 cm before points at 2 to 6 m: one inside out once was 46 sigma off in silence
     sequence = head(1, lever=(0, -0.009, -0.03), turn_deg=20)
@@ -357,6 +363,7 @@ def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
     assert away(result) < 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('noise_px, looked_for', [(0.8, False), (1.5, True)])
 def test_the_lens_of_rotations_is_looked_for_where_no_path_is_sure(monkeypatch, noise_px,
                                                                    looked_for):
@@ -381,6 +388,7 @@ def decided(sequence):
     return turning, decide_pivot(problem, graph, turning)
 
 
+@pytest.mark.long
 def test_a_drive_before_a_far_scene_is_soon_known_to_be_no_turn(monkeypatch):
     # turns about a point 50 to 300 times as far as the scene explain it as well: no turn at all
     asked = []

@@ -33,6 +33,7 @@ def deviations(result, camera):
     return ((result.camera.parameters - camera.parameters)[free] / sigma[free])
 
 
+@pytest.mark.long
 def test_one_triplet_without_noise_is_exact():
     sequence = sequence_si(np.random.default_rng(0), 0.0)
     result = calibrate(sequence.tracks, facts=KNOWN_ASPECT)
@@ -91,6 +92,7 @@ def test_degenerate_sequences_are_refused_with_the_reason(name, kind, seed):
     assert result.kind == kind
 
 
+@pytest.mark.long
 def test_a_camera_that_only_rotates_is_calibrated_as_such():
     sequence = special_scenes.pure_rotation(np.random.default_rng(0), 0.2, views=6)
     result = calibrate(sequence.tracks, facts=SQUARE)
@@ -104,12 +106,14 @@ def test_a_camera_that_only_rotates_is_calibrated_as_such():
     assert np.abs(deviations(result, sequence.camera)).max() < 4
 
 
+@pytest.mark.long
 def test_one_plane_is_refused_in_every_motion():
     sequence = special_scenes.coplanar_points(np.random.default_rng(0), 0.2)
     for motion in ('auto', 'general', 'rotation'):
         assert not calibrate(sequence.tracks, motion=motion, facts=SQUARE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(2))
 def test_general_motion_is_refused_or_right(seed):
     sequence = special_scenes.general_motion(np.random.default_rng(seed), 0.2)
@@ -132,6 +136,7 @@ def test_circular_motion_of_many_views_is_solved_with_square_pixels():
     assert calibrate(sequence.tracks, facts=SQUARE)
 
 
+@pytest.mark.long
 def test_turning_on_the_spot_does_not_end_beside_the_optimum():
     """Half a turn, camera 0.3 m off the axis: a valley with other optima beside the right one."""
     rng = np.random.default_rng(0)

@@ -15,6 +15,7 @@
 
 import numpy as np
 
+import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.initialisation.planar_scene import separate
 from selfcal_ros.geometry.camera import Camera
@@ -51,6 +52,7 @@ def _calibrated(sequence):
     return calibrate(sequence.tracks, facts=CameraFacts(skew=0.0, aspect_ratio=1.0))
 
 
+@pytest.mark.long
 def test_a_drone_over_a_flat_ground_gives_its_camera_through_a_lens_that_bends():
     # without the lens the starts missed the plane: a shutter or things that move were blamed
     sequence = _drone(6, 75, 8)
@@ -64,6 +66,7 @@ def test_a_drone_over_a_flat_ground_gives_its_camera_through_a_lens_that_bends()
         one.kind for one in found.findings}
 
 
+@pytest.mark.long
 def test_a_drone_that_looks_straight_down_has_no_focal_length():
     found = _calibrated(_drone(6, 90, 0.5, views=12, points=250))
     # both are so: it moved without turning, and one homography explains its flat ground

@@ -19,6 +19,7 @@ from selfcal_ros.calibration.uncertainty import profile_likelihood
 from selfcal_ros.synthetic.scenes import sequence_si
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(4))
 def test_no_valley_leads_beyond_what_facts_with_sigmas_state(seed):
     rng = np.random.default_rng(seed)

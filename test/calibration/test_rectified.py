@@ -37,6 +37,7 @@ def tracks():
     return drive(np.random.default_rng(1), 0.2, 20, 500, 10, RECTIFIED).tracks
 
 
+@pytest.mark.long
 def test_square_pixels_of_rectified_images_are_doubted(tracks):
     assert abs(RECTIFIED.K[1, 1] / RECTIFIED.K[0, 0] - 1) > 0.04
     result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
@@ -52,6 +53,7 @@ def test_square_pixels_of_rectified_images_are_doubted(tracks):
         assert abs(result.camera.K[place] - RECTIFIED.K[place]) < 3 * result.sigma[name]
 
 
+@pytest.mark.long
 def test_raw_images_and_lenses_that_are_stated_are_no_rectified_ones(tracks):
     raw = drive(np.random.default_rng(1), 0.2, 20, 500, 10, RAW).tracks
     assert 'images_rectified' not in kinds(calibrate(raw, facts=CameraFacts(1.0, 0.0)))

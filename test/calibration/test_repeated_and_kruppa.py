@@ -84,6 +84,7 @@ def _pairs(seed, noise_px):
     return np.array(F), scene.camera.K
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('facts', [CameraFacts(), CameraFacts(skew=0.0, aspect_ratio=1.5)])
 def test_kruppa_is_exact_without_noise_and_near_with_it(facts):
     F, K = _pairs(0, 0.0)

@@ -52,6 +52,7 @@ def chain():
     return tracks, T, step
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('refusing', [(), ('middle', 'right'), ('left', 'middle')])
 def test_a_chain_is_placed_link_by_link(chain, refusing):
     tracks, T, step = chain

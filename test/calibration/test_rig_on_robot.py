@@ -77,6 +77,7 @@ class Robot:
 robot_of = cache(Robot)
 
 
+@pytest.mark.long
 def test_an_arm_gives_a_rig_its_place_and_metres():
     robot = robot_of('hand', True, 3)
     found = robot.found
@@ -98,6 +99,7 @@ def test_an_arm_gives_a_rig_its_place_and_metres():
     assert np.isclose(np.sqrt(np.mean(steps**2)), robot.scene.step_m, rtol=0.01)
 
 
+@pytest.mark.long
 def test_odometry_gives_metres_and_no_height():
     robot = robot_of('drive', False, 5)
     found, T = robot.found, robot.scene.T_rig_camera['right']
@@ -110,6 +112,7 @@ def test_odometry_gives_metres_and_no_height():
         assert abs(one.direction @ T[:3, 3] - one.value) < 3.5 * one.sigma
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('off', [1.0, 1.05])
 def test_a_baseline_that_the_robot_contradicts_is_told(off):
     robot = robot_of('hand', True, 3)
@@ -131,6 +134,7 @@ def test_a_robot_that_says_nothing_leaves_the_rig_as_it_was():
     assert np.array_equal(found.covariance, robot.rig.covariance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('stated', [False, True])
 def test_the_command_takes_a_robot_beside_several_cameras(tmp_path, capsys, stated):
     robot = robot_of('drive', False, 5)

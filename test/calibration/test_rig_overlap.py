@@ -16,6 +16,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
@@ -70,6 +71,7 @@ def _turn(result, name):
             / [pose.sigma[one] for one in ('roll', 'pitch', 'yaw')])
 
 
+@pytest.mark.long
 def test_two_cameras_that_share_points_with_each_other_only_have_no_height_over_the_first():
     path = driven_path(20)
     centres = np.einsum('vji,vj->vi', path[:, :, :3], -path[:, :, 3])

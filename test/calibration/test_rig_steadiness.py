@@ -49,6 +49,7 @@ def _off(result, scene, T):
     return np.abs(np.r_[place, turn] / list(pose.sigma.values()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('share', [0.01, -0.01])
 def test_a_late_camera_is_told_with_its_time_and_is_in_the_sigmas(share):
     rng = np.random.default_rng(0)
@@ -69,6 +70,7 @@ def test_a_late_camera_is_told_with_its_time_and_is_in_the_sigmas(share):
         assert np.isclose(late_ms, 1e3 * 0.25 * share, rtol=0.2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed, share', [(3, 0.03), (4, 0.22)])
 def test_a_late_camera_on_an_s_is_not_called_knocked(seed, share):
     """Left at one rate and right at another, lateness is one pose before the bend, one after."""
@@ -82,6 +84,7 @@ def test_a_late_camera_on_an_s_is_not_called_knocked(seed, share):
     assert kinds and not kinds & {'rig_knocked', 'rig_pose_changed'}
 
 
+@pytest.mark.long
 def test_a_refusal_names_the_late_camera():
     rng = np.random.default_rng(0)
     path = hand_path(rng, 14)
@@ -90,6 +93,7 @@ def test_a_refusal_names_the_late_camera():
     assert not result and result.kind == 'rig_clocks_apart' and 'right' in str(result)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('overlap', [True, False])
 def test_a_knock_is_told_with_its_frame_and_both_poses_are_in_the_sigmas(overlap):
     rng = np.random.default_rng(0)
@@ -107,6 +111,7 @@ def test_a_knock_is_told_with_its_frame_and_both_poses_are_in_the_sigmas(overlap
         assert off[np.isfinite(off)].max() < 3.5
 
 
+@pytest.mark.long
 def test_a_knock_of_less_than_a_tenth_of_a_pixel_is_in_the_sigmas_alone():
     rng = np.random.default_rng(0)
     path = driven_path(24)
@@ -116,6 +121,7 @@ def test_a_knock_of_less_than_a_tenth_of_a_pixel_is_in_the_sigmas_alone():
     assert result and not _told(result)
 
 
+@pytest.mark.long
 def test_a_refusal_names_the_knocked_camera_and_the_frame():
     rng = np.random.default_rng(0)
     path = driven_path(24)
@@ -125,6 +131,7 @@ def test_a_refusal_names_the_knocked_camera_and_the_frame():
     assert not result and result.kind == 'rig_knocked' and 'before frame 12' in str(result)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('overlap', [True, False])
 def test_a_rigid_rig_is_not_suspected(overlap):
     rng = np.random.default_rng(4)
@@ -134,6 +141,7 @@ def test_a_rigid_rig_is_not_suspected(overlap):
     assert _off(result, scene, scene.T_rig_camera['right']).max() < 3.5
 
 
+@pytest.mark.long
 def test_a_rig_is_not_given_inside_out():
     scene = rig_scene(np.random.default_rng(9), driven_path(24), True, points=300)
     result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS)

@@ -151,6 +151,7 @@ def _errors(result, scene):
     return np.r_[focal, np.r_[place, turn] / list(pose.sigma.values())]
 
 
+@pytest.mark.long
 def test_a_baseline_without_a_sigma_is_told_to_be_exact():
     scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
                       overlap=True, points=120)
@@ -187,6 +188,7 @@ def test_cameras_side_by_side_are_found_with_their_scale():
     assert not refused and refused.kind == 'rig_camera_refused' and 'rotated' in str(refused)
 
 
+@pytest.mark.long
 def test_lenses_beside_their_model_widen_the_sigmas_of_a_rig():
     rng = np.random.default_rng(3)
     scene = rig_scene(rng, hand_path(rng, 6), overlap=True, points=70)
@@ -201,6 +203,7 @@ def test_lenses_beside_their_model_widen_the_sigmas_of_a_rig():
     assert result.reprojection_rms_px / np.sqrt(2) < 0.8 * result.noise_sigma_px
 
 
+@pytest.mark.long
 def test_a_drive_without_overlap_leaves_the_height_open_and_says_so():
     scene = rig_scene(np.random.default_rng(5), driven_path(10), overlap=False, points=100)
     result = calibrate_rig(scene.tracks, facts=FACTS)
@@ -233,6 +236,7 @@ def test_a_rig_needs_two_cameras_and_a_length():
     assert not refused and refused.kind == 'rig_cameras_refused' and 'left' in str(refused)
 
 
+@pytest.mark.long
 def test_too_few_common_instants_are_refused_whatever_points_are_shared():
     scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
                       overlap=True, points=60)
@@ -245,6 +249,7 @@ def test_too_few_common_instants_are_refused_whatever_points_are_shared():
         calibrate_rig({'left': left, 'right': scene.tracks['right']}, facts=FACTS, alone=alone)
 
 
+@pytest.mark.long
 def test_each_camera_of_a_rig_tells_its_own_outliers():
     scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
                       overlap=True, points=80)
@@ -258,6 +263,7 @@ def test_each_camera_of_a_rig_tells_its_own_outliers():
     assert result.cameras['right'].outlier_count < 4
 
 
+@pytest.mark.long
 def test_the_sigmas_of_a_rig_hold_decentring_that_no_fisheye_model_has():
     rng = np.random.default_rng(1)
     cameras = {name: Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,
@@ -279,6 +285,7 @@ def test_the_sigmas_of_a_rig_hold_decentring_that_no_fisheye_model_has():
     assert 'fisheye_decentred' in [one.kind for one in result.findings]
 
 
+@pytest.mark.long
 def test_a_plane_leaves_the_height_of_a_camera_open_that_shares_no_points():
     rng = np.random.default_rng(2)
     scene = rig_scene(rng, driven_path(16), False, points=200)
@@ -294,6 +301,7 @@ def test_a_plane_leaves_the_height_of_a_camera_open_that_shares_no_points():
         assert abs(one.direction @ T[:3, 3] / scene.step_m - one.value) < 3.5 * one.sigma
 
 
+@pytest.mark.long
 def test_an_instant_that_few_points_tie_does_not_stretch_the_path():
     rng = np.random.default_rng(5)
     scene = rig_scene(rng, hand_path(rng, 10), True, points=200)
@@ -311,6 +319,7 @@ def test_an_instant_that_few_points_tie_does_not_stretch_the_path():
     assert np.abs(_errors(result, scene)).max() < 3.5
 
 
+@pytest.mark.long
 def test_points_place_a_fisheye_by_its_own_lens():
     rng = np.random.default_rng(1)
     cameras = {name: Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,

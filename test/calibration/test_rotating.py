@@ -71,6 +71,7 @@ def test_camera_and_distortion_within_their_sigmas(k1, distortion):
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('axes, missing', [((1, 0, 0), {'fx'}), ((0, 1, 0), {'fy'}),
                                            ((0, 0, 1), {'fx', 'fy'})])
 def test_one_axis_is_refused_and_names_the_rotation_that_helps(axes, missing):
@@ -92,6 +93,7 @@ def test_it_is_said_that_sigmas_hold_errors_that_tracks_share():
     assert found.sigma['fx'] > 1.2 * still.sigma['fx']
 
 
+@pytest.mark.long
 def test_sigmas_hold_what_the_lens_does_beyond_its_model():
     # bumps of 0.3 px: without the correction 5.4 sigma were seen, and 1.8 root mean square
     scores = []
@@ -114,6 +116,7 @@ def test_pan_alone_suffices_with_square_pixels():
     assert abs(found.camera.K[0, 0] - 900) < 4 * found.sigma['fx'] < 10
 
 
+@pytest.mark.long
 def test_rotations_pass_the_gates_of_every_motion(monkeypatch):
     tracks = _head(1).tracks
     found = calibrate_rotating(tracks, SIZE, CameraFacts(aspect_ratio=1.0, distortion='none'))
@@ -190,6 +193,7 @@ def test_homographies_of_a_long_drive_are_of_each_view_alone():
     assert homographies.covariance.shape == (119, 9, 9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('views, of_share', [(60, rotation.STRETCH), (8, 8)])
 @pytest.mark.parametrize('shift, hopeless', [(0.0, False), (0.5, True)])
 def test_a_share_of_views_and_tracks_tells_whether_it_turns(monkeypatch, shift, hopeless, views,
@@ -210,6 +214,7 @@ def test_a_share_of_views_and_tracks_tells_whether_it_turns(monkeypatch, shift, 
         assert len(found.frames) == views
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('share', [0.0, 0.02])
 def test_images_of_two_cameras_that_only_turn_are_parted(share):
     """Free translations would explain the difference, 8 sigmas off."""

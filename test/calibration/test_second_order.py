@@ -41,6 +41,7 @@ def test_the_mean_square_of_the_bend_is_that_of_a_simulation():
     assert (np.abs(mean_square_offset(slopes) - drawn.mean(axis=0)) < 4 * spread).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('noise_px, bent', [(0.1, False), (1.0, True)])
 def test_only_what_is_determined_badly_bends(monkeypatch, noise_px, bent):
     tracks = sequence_si(np.random.default_rng(3), noise_px).tracks

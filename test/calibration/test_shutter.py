@@ -110,6 +110,7 @@ def test_rows_are_displaced_by_the_motion_until_they_are_read(moving):
     assert local_motion(state.path, clock.times).shape == (3, 12, 6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('readout_ms, kind, motion', [(20, drive, 'planar'),
                                                       (-25, hand, 'general')])
 def test_the_line_delay_is_found_with_the_camera(readout_ms, kind, motion):
@@ -135,6 +136,7 @@ def shaking(rng):
     return pose
 
 
+@pytest.mark.long
 def test_the_sigma_of_the_line_delay_holds_what_shakes_between_images():
     # without the views' own errors the second was 4.1 sigma off, and a vehicle's 17
     scores = []
@@ -145,6 +147,7 @@ def test_the_sigma_of_the_line_delay_holds_what_shakes_between_images():
     assert np.abs(scores).max() < 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('readout_ms, kind, motion', [(20, drive, 'planar'),
                                                       (-25, hand, 'general')])
 def test_columns_of_an_image_that_was_turned_upright_are_found(readout_ms, kind, motion):
@@ -166,6 +169,7 @@ def test_columns_of_an_image_that_was_turned_upright_are_found(readout_ms, kind,
     assert 'The columns are read' in result_text(result)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('readout_ms', [8, -33])
 def test_a_camera_that_only_turns_is_read_in_rows_too(readout_ms):
     sequence = recorded(readout_ms * 1e-3, partial(hand, shift_m=0.0), views=14)
@@ -277,6 +281,7 @@ def test_the_images_before_and_after_tell_how_the_camera_moves(moving):
     np.testing.assert_allclose(fewer[:-4], speed[:-4], atol=1e-3 * np.abs(speed).max())
 
 
+@pytest.mark.long
 def test_a_camera_that_swings_once_a_second_is_read_as_fast_as_it_is():
     # between the images beside a view it is 0.7 % slower than at the view
     rng = np.random.default_rng([2, 3])

@@ -49,6 +49,7 @@ def over_floor(rng, tilt_deg):
     return seen(FLOOR, poses, points, rng)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', range(2))
 def test_over_a_floor_no_turn_behind_a_long_lens_is_found(seed):
     result = calibrate_rotating(over_floor(np.random.default_rng(seed), 0.0), (640, 480), SQUARE)
@@ -56,6 +57,7 @@ def test_over_a_floor_no_turn_behind_a_long_lens_is_found(seed):
     assert result.values['status']['fx'] == 'unobservable'
 
 
+@pytest.mark.long
 def test_nearly_straight_above_a_floor_a_path_counts_that_leaves_the_focal_length_open():
     result = calibrate(over_floor(np.random.default_rng(0), 1.0), facts=SQUARE)
     assert not result, result.camera.K

@@ -115,6 +115,7 @@ def deviating(seed, bumps_px=0.0):
     return Tracks(scene.tracks.frame, scene.tracks.track, xy, SIZE)
 
 
+@pytest.mark.long
 def test_a_stated_lens_that_another_model_explains_is_to_blame_for_the_field():
     tracks = deviating(0)
     result = calibrate(tracks, facts=replace(SQUARE, distortion='radial1'))
@@ -128,6 +129,7 @@ def test_a_stated_lens_that_another_model_explains_is_to_blame_for_the_field():
     assert abs(result.camera.K[0, 0] - 420) < 4 * result.sigma['fx']
 
 
+@pytest.mark.long
 def test_a_lens_like_no_model_is_not_blamed_on_what_was_stated():
     tracks = deviating(0, bumps_px=0.5)
     result = calibrate(tracks, facts=replace(SQUARE, distortion='plumb_bob'))
@@ -167,6 +169,7 @@ def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():
     assert np.isclose(kept.camera.K[1, 1], kept.camera.K[0, 0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('true, fact, value', [({'aspect': 1.2}, 'aspect ratio', 1.2),
                                                ({'skew': 40.0}, 'skew', 40.0)])
 def test_a_fact_so_wrong_that_no_start_stands_is_named(true, fact, value):
@@ -290,6 +293,7 @@ def test_what_is_preferred_of_another_lens_model_stays_as_it_was_told():
     assert preferred_by_all(refusal, fit, fit.observations, SIZE) is refusal
 
 
+@pytest.mark.long
 def test_images_of_a_second_camera_in_a_hand_are_left_out():
     # what no plane explains is for free motion to refuse, with its own reason
     rng = np.random.default_rng([0, 5])

@@ -43,6 +43,7 @@ def result():
     return calibrate(sequence_si(np.random.default_rng(0), 0.3, views=5).tracks, facts=FACTS)
 
 
+@pytest.mark.long
 def test_measurements_of_a_result_scatter_as_stated():
     """Calibrate the same scene and path with new noise; compare with the truth."""
     ratios, angles, typical = [], [], []

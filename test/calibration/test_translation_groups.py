@@ -121,6 +121,7 @@ def test_no_matches_is_said():
     assert 'No two views share' in translation_groups(tracks, SIZE).explain()
 
 
+@pytest.mark.long
 def test_recorded_arm_kept_its_orientation_where_its_notes_say():
     path = Path(__file__).resolve().parents[3] / 'shared/data/kuka_chess/corners.npz'
     if not path.is_file():

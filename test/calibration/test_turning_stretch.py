@@ -56,6 +56,7 @@ def off_in_sigmas(result, camera):
             for k, name in enumerate(('fx', 'fy', 'cx', 'cy'))]
 
 
+@pytest.mark.long
 def test_a_turn_before_a_drive_is_not_explained_inside_out():
     sequence = turned_then_driven(np.random.default_rng([1, 5]), 0.03)
     result = calibrate(sequence.tracks, facts=FACTS)
@@ -66,6 +67,7 @@ def test_a_turn_before_a_drive_is_not_explained_inside_out():
     assert 'not_exactly_planar' not in [one.kind for one in result.findings]
 
 
+@pytest.mark.long
 def test_views_that_turn_before_a_free_motion_are_left_out_and_told():
     sequence = turned_then_moved(np.random.default_rng([4, 5]), 0.03)
     result = calibrate(sequence.tracks, facts=FACTS)

@@ -67,6 +67,7 @@ def in_sigmas(seeds, slow: bool) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.long
 def test_sigmas_hold_over_a_ground_that_rises_slowly():
     alone, with_ground = np.sum(in_sigmas(range(100, 110), slow=True)**2, axis=0)
     # of 10 squared errors: chance stays below 23 in 99 of 100

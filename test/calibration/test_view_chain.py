@@ -259,6 +259,7 @@ def test_a_direction_without_information_comes_out_very_large(monkeypatch):
     assert others.max() < 1e-6 * variance[row]
 
 
+@pytest.mark.long
 def test_a_drive_is_calibrated_the_same(monkeypatch):
     """Level by level or at once: the same camera and the same sigmas."""
     facts = CameraFacts(aspect_ratio=1.0, skew=0.0)

@@ -42,6 +42,7 @@ def test_what_is_spread_evenly_has_no_sigma(rng):
     assert truncated_sigma(np.mean(rng.uniform(-1, 1, 10000) ** 2), 1.0) == float('inf')
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('noise_px', [0.1, 0.3, 1.0])
 @pytest.mark.parametrize('views', [3, 6])
 def test_the_limit_does_not_cut_into_the_noise(rng, noise_px, views):
@@ -54,6 +55,7 @@ def test_the_limit_does_not_cut_into_the_noise(rng, noise_px, views):
     assert np.mean(noise) == pytest.approx(noise_px, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('noise_px', [0.1, 1.0])
 def test_gross_errors_go_with_what_they_leave_unverified(rng, noise_px):
     left, lost = 0, 0

@@ -115,6 +115,7 @@ def test_the_file_holds_the_focal_lengths(ramp):
     assert again.facts == ramp[0].facts
 
 
+@pytest.mark.long
 def test_a_step_is_found_with_free_hands():
     rng = np.random.default_rng([3, 14])
     turns = 15 * rng.standard_normal((VIEWS, 3))
@@ -138,6 +139,7 @@ def test_a_constant_focal_length_is_called_so():
     assert result.focal_of(3).value == result.camera.K[0, 0]
 
 
+@pytest.mark.long
 def test_a_plane_that_is_left_is_not_made_up_for_by_the_focal_length():
     rng = np.random.default_rng([0, 140])
     sequence = bumpy(rng, 5.0, count=120)
@@ -148,6 +150,7 @@ def test_a_plane_that_is_left_is_not_made_up_for_by_the_focal_length():
     assert abs(result.camera.K[0, 0] - sequence.camera.K[0, 0]) < 4 * result.sigma['fx']
 
 
+@pytest.mark.long
 def test_a_warm_up_is_one_unknown():
     result, fx = drive(1 + 0.02 * np.linspace(-1, 1, VIEWS), seed=2)
 
@@ -261,6 +264,7 @@ def test_less_may_contradict_a_focal_length_of_each_view(rejected, zooms, kind):
     assert (None if refusal is None else refusal.kind) == kind
 
 
+@pytest.mark.long
 def test_a_true_zoom_is_kept_among_gross_errors():
     # a fifth of the observations contradicts; it was refused for that
     rng = np.random.default_rng([2, 16])
@@ -272,6 +276,7 @@ def test_a_true_zoom_is_kept_among_gross_errors():
     assert (np.abs(few.focal.fx - fx) < 4 * few.focal.sigma).all()
 
 
+@pytest.mark.long
 def test_a_steady_growth_may_be_steady_in_another_measure():
     # as much in every view, not by the same factor: cx was 8.5 sigmas off
     rng = np.random.default_rng([0, 16])
@@ -320,6 +325,7 @@ def test_tracks_are_not_parted_where_a_zoom_explains_what_is_still():
     assert calibrate_sorted(fit, problem, graph, from_still) is None
 
 
+@pytest.mark.long
 def test_a_true_zoom_among_many_gross_errors_is_refused():
     # more than a third
     rng = np.random.default_rng([0, 16])

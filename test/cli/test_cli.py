@@ -174,6 +174,7 @@ def test_demo_without_nodes_prints_the_truth_beside_the_estimate(capsys, without
     assert Path('out/camera.yaml').is_file() and Path('out/report.html').is_file()
 
 
+@pytest.mark.long
 def test_tracks_without_an_image_size_are_used_and_the_size_is_asked_for(driven, capsys):
     path, camera = driven
     assert selfcal('calibrate', path, '--distortion', 'none', '--json', 'result.json') == 0

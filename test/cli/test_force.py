@@ -46,6 +46,7 @@ def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, 
     assert 'image_width: 640' in Path('camera.yaml').read_text(encoding='utf-8')
 
 
+@pytest.mark.long
 def test_a_camera_file_of_an_earlier_run_is_replaced_where_nobody_has_named_it(driven, capsys):
     assert selfcal('calibrate', driven[0], *SIZE) == 0
     assert 'Written: camera.yaml.' in capsys.readouterr().out

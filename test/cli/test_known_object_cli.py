@@ -66,6 +66,7 @@ def selfcal(*arguments):
         return stop.code
 
 
+@pytest.mark.long
 def test_pictures_of_a_grid_give_the_camera(pictures, capsys):
     status = selfcal(pictures, '--motion', 'known-object', '--object', WHAT,
                      '--distortion', 'radial1', '--json', 'r.json', '--report', 'r.html')

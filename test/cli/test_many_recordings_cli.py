@@ -19,12 +19,14 @@ import shutil
 import sys
 
 import numpy as np
+import pytest
 from selfcal_ros.cli.force import output_folder
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive, pure_translation
 from test_support.command_line import selfcal, SIZE
 
 
+@pytest.mark.long
 def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys, driven):
     Path('drives').mkdir()
     for number in range(3):
@@ -52,6 +54,7 @@ def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys
     assert content['cameras'][0]['joint'] == joint
 
 
+@pytest.mark.long
 def test_no_file_takes_the_place_of_another(capsys, driven):
     for number, folder in enumerate(('one', 'two')):
         Path(folder).mkdir()
@@ -67,6 +70,7 @@ def test_no_file_takes_the_place_of_another(capsys, driven):
     assert 'give the camera another' in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_copy_of_a_recording_counts_once(capsys, driven):
     drive(np.random.default_rng(0), 0.2, 12, 150, 12).tracks.to_csv('a.csv')
     shutil.copy('a.csv', 'b.csv')
@@ -78,6 +82,7 @@ def test_a_copy_of_a_recording_counts_once(capsys, driven):
     assert np.isclose(joint['sigma']['fx'], one['sigma']['fx'], rtol=0.01)
 
 
+@pytest.mark.long
 def test_many_recordings_none_of_which_can_be_used(capsys):
     for name in ('a', 'b'):
         Path(f'{name}.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
@@ -109,6 +114,7 @@ def test_a_run_that_is_refused_leaves_no_folder(capsys, monkeypatch):
     assert sorted(path.name for path in Path().iterdir()) == ['a.csv', 'a.png', 'b.csv', 'b.png']
 
 
+@pytest.mark.long
 def test_of_two_runs_into_one_folder_the_second_is_refused(capsys):
     for name in ('a.csv', 'b.csv'):
         Path(name).write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')

@@ -53,6 +53,7 @@ def hidden_half():
     return _write_mask('mask.png', (640, 480), np.s_[300:])
 
 
+@pytest.mark.long
 def test_what_a_mask_hides_has_no_part_in_the_result(hidden_half):
     results = []
     for given in (['t.csv', '--mask', hidden_half], ['above.csv']):
@@ -89,6 +90,7 @@ def test_a_wrong_mask_is_status_2_in_one_sentence(capsys, driven):
         assert words in heard.err and heard.err.count('\n') == 1 and not heard.out
 
 
+@pytest.mark.long
 def test_many_recordings_share_a_mask(capsys):
     for number in range(2):
         drive(np.random.default_rng(number), 0.2, 12, 250, 12).tracks.to_csv(f'd{number}.csv')

@@ -59,6 +59,7 @@ def off_the_truth(rows, truth):
             Rotation.from_matrix(np.swapaxes(turned, 1, 2) @ W @ R).magnitude())
 
 
+@pytest.mark.long
 def test_the_moves_of_an_arm_are_told_from_a_drive_and_their_scene_is_written(capsys):
     assert command.main(['calibrate', str(BAG), '--ply', 'scene.ply', '--poses', 'path.tum',
                          '--colmap', 'model', '--transforms', 'transforms.json']) == 0

@@ -66,6 +66,7 @@ def calibrated(tmp_path_factory):
     return scene, folder, status, json.loads((folder / 'result.json').read_text('utf-8'))
 
 
+@pytest.mark.long
 def test_the_progress_of_a_rig_names_the_camera_and_the_rig(tmp_path):
     scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 6),
                       overlap=True, points=60)
@@ -81,6 +82,7 @@ def test_the_progress_of_a_rig_names_the_camera_and_the_rig(tmp_path):
     assert told == ['estimating left', 'estimating right', 'estimating the rig']
 
 
+@pytest.mark.long
 def test_the_result_has_every_camera_and_the_rig(calibrated):
     scene, _, status, content = calibrated
     assert status == 0 and content['unit'] == 'm'
@@ -269,6 +271,7 @@ def test_cameras_of_a_bag_with_few_images_that_are_apart_are_refused(tmp_path, c
     assert len(said.splitlines()) == 1 and not (tmp_path / 'camera_left.yaml').exists()
 
 
+@pytest.mark.long
 def test_a_camera_of_a_bag_that_has_a_clock_of_its_own_is_told(tmp_path, capsys):
     noise = np.random.default_rng(0).integers(0, 255, (120, 200), np.uint8)
     wall = cv2.normalize(cv2.GaussianBlur(noise, None, 2), None, 0, 255, cv2.NORM_MINMAX)
@@ -349,6 +352,7 @@ def test_halves_of_the_images_are_two_cameras(tmp_path):
             rig_inputs([str(images)], words)
 
 
+@pytest.mark.long
 def test_two_views_in_one_image_are_calibrated_together(tmp_path):
     """The right camera is 12 cm beside the left one, and turned nowhere."""
     drive = agv_drive(8, (320, 240), distortion=(), pitch_deg=12, noise_sigma=1.0)

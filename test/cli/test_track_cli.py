@@ -50,6 +50,7 @@ def test_the_recorded_object_is_tracked_to_its_end(capsys):
     assert list(poses['stamp_ns']) == truth['stamps_ns']
 
 
+@pytest.mark.long
 def test_rows_are_read_as_the_camera_file_says_or_the_user(capsys):
     recording = tracked_object(4, 'cube', size=(480, 360), speed=2.5, readout_s=0.02)
     write_image_folder(recording, 'rolling')
@@ -124,6 +125,7 @@ def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     assert sorted(Path().iterdir()) == before, 'nothing half-written'
 
 
+@pytest.mark.long
 def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys, without_figures):
     recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0, supersampling=2)
     write_image_folder(recording, 'images')
@@ -163,6 +165,7 @@ def test_options_that_do_not_go_together_are_refused(capsys, arguments, words):
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_demo_follows_the_object_without_ros(capsys):
     assert selfcal('demo', '--recording', 'object', '--no-ros', '--output-dir', 'out') == 0
     said = capsys.readouterr().out

@@ -23,6 +23,7 @@ from selfcal_ros.cli import main as command
 from test_support.command_line import selfcal, SIZE
 
 
+@pytest.mark.long
 def test_v_tells_on_standard_error_what_is_done(driven, capsys):
     assert selfcal('calibrate', driven[0], *SIZE) == 0
     quiet = capsys.readouterr()

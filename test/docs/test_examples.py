@@ -21,6 +21,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from selfcal_ros.cli.main import main as selfcal
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
@@ -91,6 +92,7 @@ def test_an_object_is_followed_to_its_true_place(tmp_path):
     assert np.linalg.norm(last - poses[-1, :, 3]) < 0.005
 
 
+@pytest.mark.long
 def test_many_recordings_are_calibrated_together(tmp_path):
     # tracks stand for bags, which the first example reads: two of them would be followed here
     drive(np.random.default_rng(3), noise_px=0.1, views=10, tracks=300).tracks.to_csv(

@@ -53,6 +53,7 @@ def drawn(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_all_can_be_drawn(drawn):
     for name in NAMES:
         old, new = (ElementTree.parse(folder / f'{name}.svg').getroot()
@@ -60,6 +61,7 @@ def test_all_can_be_drawn(drawn):
         assert old.get('viewBox') == new.get('viewBox'), f'{name}: docs/make_figures.py'
 
 
+@pytest.mark.long
 def test_the_same_is_drawn_twice(drawn, tmp_path):
     names = ('house', 'profile_likelihood')
     _draw(tmp_path, *names)

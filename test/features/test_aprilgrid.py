@@ -62,6 +62,7 @@ def test_corners_of_tags_are_where_they_were_drawn(border_bits, upward, quarters
     assert np.sqrt(np.mean((xy - x[:, :2] / x[:, 2:])**2)) < 0.15
 
 
+@pytest.mark.long
 def test_nothing_is_found_where_there_is_no_grid():
     grid = parse_target('aprilgrid:4x3:0.08:0.3')
     for image in (np.zeros((1, 1), np.uint8), np.full((60, 80), 255, np.uint8),

@@ -52,6 +52,7 @@ def error(xy, true):
     return min(np.sqrt(np.mean((xy - one)**2)) for one in (true, true[::-1]))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(cv2, 'findChessboardCornersSB'),
                     reason='this OpenCV has no sector-based detector')
 def test_a_board_cut_out_along_its_squares_is_found_and_no_corner_is_misplaced(monkeypatch):

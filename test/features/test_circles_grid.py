@@ -59,6 +59,7 @@ def test_staggered_rows_stand_as_in_opencv():
         [[0, 0], [0.04, 0], [0.08, 0], [0.02, 0.02], [0.06, 0.02], [0.1, 0.02]]))
 
 
+@pytest.mark.long
 def test_odd_images_show_no_circles():
     grid = parse_target('acircles:4x11:0.02')
     for image in (np.zeros((1, 1), np.uint8), np.full((60, 80), 255, np.uint8),

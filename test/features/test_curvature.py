@@ -123,6 +123,7 @@ def between(first, second):
     return moved
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', [1, 2])
 def test_positions_in_images_of_a_plane_are_off_as_predicted(seed):
     """A plane seen aslant: the affine fit is off by hundredths of a pixel, which are taken off."""

@@ -75,6 +75,7 @@ def test_video_is_followed(room):
     assert np.median(error) < 0.1 and np.mean(error > 2) < 0.01
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_tracks(photographs):
     images = photographs[1][:4]
     first, second = (extract_tracks(_stream(images), 'wide', rng=np.random.default_rng(3)).tracks

@@ -31,6 +31,7 @@ def _data(name):
     pytest.skip(f'the recorded images shared/data/{name} are not beside the repository')
 
 
+@pytest.mark.long
 def test_temple_ring():
     folder = _data('mb_temple_ring')
     truth = json.loads((folder / 'gt.json').read_text())

@@ -61,6 +61,7 @@ def test_even_rows_stay_and_the_others_lie_between(rows):
     assert np.array_equal(of_even_rows(np.dstack([broken] * 3)), np.dstack([expected] * 3))
 
 
+@pytest.mark.long
 def test_a_drive_of_an_interlaced_camera_is_calibrated(tmp_path):
     """With the odd rows, too, such drives were up to 6 sigmas off, or refused."""
     drive = agv_drive(28, (320, 240), distortion=(-0.1, 0.02, 0, 0, 0), noise_sigma=0.0, seed=7)

@@ -34,6 +34,7 @@ def followed(video):
     return [tracker.add(image) for image in video[2]]
 
 
+@pytest.mark.long
 def test_positions_are_exact_and_do_not_drift(video, followed):
     room, cameras, _ = video
     tracks = Tracks(np.repeat(np.arange(len(followed)), [len(ids) for ids, _ in followed]),
@@ -79,6 +80,7 @@ def test_fewer_points_are_followed_from_the_image_on_where_fewer_are_asked_for(v
     assert np.isin(ids, further).mean() > 0.7
 
 
+@pytest.mark.long
 def test_corners_leave_occupied_cells_alone(video):
     image = video[2][0]
     first = corners(image, 20)

@@ -81,6 +81,7 @@ def test_nothing_is_found_or_followed_into_the_masked_part(room, mask):
         assert len(xy) > 100 and mask.allows(xy).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('mode, count, step', [('video', 8, 0.04), ('wide', 4, 0.3)])
 def test_wrong_texture_does_no_harm_behind_a_mask(room, mask, mode, count, step):
     cameras = drive(count, step, 20 * step)

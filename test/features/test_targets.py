@@ -71,6 +71,7 @@ def test_chessboard_corners_are_where_they_were_drawn():
     assert len(board.find(np.full((480, 640), 128, np.uint8))[0]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HAS_CHARUCO, reason='this OpenCV has no ChArUco boards')
 @pytest.mark.parametrize('dictionary', ['', 'DICT_5X5_100'])
 def test_charuco_corners_are_where_they_were_drawn(dictionary):

@@ -125,6 +125,7 @@ def test_pairs_fitted_together_agree_with_each_by_itself():
         assert np.abs(apart[near]).max() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('division', [-0.15, -0.6, -1.2, -2.4])
 def test_the_lens_follows_from_matches(division):
     rng = np.random.default_rng(5)

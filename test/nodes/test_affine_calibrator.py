@@ -26,6 +26,7 @@ from selfcal_ros.report.camera_yaml import read_camera_yaml
 BAG = Path(__file__).resolve().parents[2] / 'bags' / 'arm_move'
 
 
+@pytest.mark.long
 @pytest.mark.ros
 def test_the_recorded_moves_through_three_processes_give_the_true_camera(tmp_path):
     result, infos = replay(BAG, tmp_path, rate=2.0, calibrator='affine_calibrator')

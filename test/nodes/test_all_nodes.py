@@ -82,6 +82,7 @@ def test_each_image_gets_its_tracks_and_before_them_its_camera_info(graph, launc
     assert (last.width, last.height) == (480, 360) and not any(last.k)
 
 
+@pytest.mark.long
 def test_the_recorded_drive_through_one_process_gives_the_true_camera(graph, launch, tmp_path):
     graph = graph()
     results = graph.listen(String, 'planar_calibrator/result', LATCHED)
@@ -108,6 +109,7 @@ def test_the_recorded_drive_through_one_process_gives_the_true_camera(graph, lau
     assert answer.success and (tmp_path / 'ros_home/camera_info/front.yaml').is_file()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_the_nodes_and_the_child_that_estimates(graph, launch, number):
@@ -180,6 +182,7 @@ def answer(worker, timeout_s=30):
     return done
 
 
+@pytest.mark.long
 def test_the_child_survives_faults_and_is_replaced_when_it_dies(capfd):
     worker = EstimationProcess()
     jobs = [Job(JobKind.ESTIMATE, Request(what)) for what in ('first', 'fault', 'death', 'last',

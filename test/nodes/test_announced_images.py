@@ -62,6 +62,7 @@ class Images:
         assert len(self.infos) == count
 
 
+@pytest.mark.long
 def test_a_camera_info_does_not_wait_for_tracks_and_comes_once(graph):
     images = Images(graph('-p', 'begin_with_file:=false'))
     images.announce(1000)

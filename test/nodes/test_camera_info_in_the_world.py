@@ -181,6 +181,7 @@ def test_a_missing_set_camera_info_service_costs_a_warning_and_a_driver_is_serve
     graph.wait_for(lambda: logged.count('refused the calibration: no room'))
 
 
+@pytest.mark.long
 def test_a_file_that_cannot_be_written_loses_nothing(graph, tmp_path, capfd):
     graph = graph(*OPTIONS, '-p', f'output:={tmp_path}/folder/camera.yaml', '-p',
                   'auto_save:=true')

@@ -99,6 +99,7 @@ def zoomed(graph):
     return ZoomedDrive(graph(*OPTIONS))
 
 
+@pytest.mark.long
 def test_a_zoom_warns_and_replaces_nothing_until_it_is_told_to(zoomed):
     zoomed.publish(range(16))
     zoomed.graph.wait_for(zoomed.calibrations, 60, 'calibration')
@@ -132,6 +133,7 @@ def test_a_zoom_warns_and_replaces_nothing_until_it_is_told_to(zoomed):
     assert message == 'calibrated'
 
 
+@pytest.mark.long
 def test_reset_ends_the_watch(zoomed):
     zoomed.publish(range(16))
     zoomed.graph.wait_for(zoomed.calibrations, 60, 'calibration')
@@ -143,6 +145,7 @@ def test_reset_ends_the_watch(zoomed):
                            int(values['monitor windows']) == 0, 'forgotten')
 
 
+@pytest.mark.long
 def test_the_monitor_is_switched_and_set_while_the_node_runs(zoomed):
     def change(**values):
         assert zoomed.graph.set_parameters('planar_calibrator', **values) == ['']

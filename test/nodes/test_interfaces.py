@@ -52,6 +52,7 @@ def test_the_player_has_what_is_written_for_the_type_of_its_bag(graph, tmp_path)
     assert has(node) == {end for end in written('bag_player') if 'compressed' not in end[1]}
 
 
+@pytest.mark.long
 def test_a_service_is_called_as_the_page_says(graph, tmp_path):
     text = (ROOT / 'docs' / 'nodes.md').read_text(encoding='utf-8')
     program, = re.findall(r'```python\n(.*?)```', text, re.S)

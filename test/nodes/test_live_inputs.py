@@ -48,6 +48,7 @@ def test_a_late_best_effort_camera_is_missed_by_name_and_then_heard(graph, launc
     assert tracks_from_message(tracks[-1]).image_size == (320, 240)
 
 
+@pytest.mark.long
 def test_publishers_that_come_and_go_are_heard_however_they_send(graph, launch):
     graph = graph()
     tracks = graph.listen(PointCloud2, 'tracks')
@@ -113,6 +114,7 @@ def test_compressed_images_beside_a_remapped_topic_are_found(graph, launch):
     graph.wait_for(lambda: node.has_said('images arrive on /cam/image_raw/compressed'))
 
 
+@pytest.mark.long
 def test_images_that_change_size_midway_start_tracks_and_session_anew(graph, launch):
     graph = graph()
     tracks, results = graph.listen(PointCloud2, 'tracks'), graph.listen(
@@ -136,6 +138,7 @@ def test_images_that_change_size_midway_start_tracks_and_session_anew(graph, lau
     assert all(node.process.poll() is None for node in nodes)
 
 
+@pytest.mark.long
 def test_a_bag_in_a_loop_with_its_own_time_starts_anew_each_time(graph, launch, tmp_path):
     start_ns, step_ns = 1_700_000_000_000_000_000, 100_000_000
     write_image_bag(tmp_path / 'bag', [Frame(k, start_ns + k * step_ns, image_stream.wall(k),
@@ -166,6 +169,7 @@ def test_silence_is_noticed_although_the_clock_of_a_bag_stands_still(graph, laun
     graph.wait_for(lambda: node.has_said('no images on /image'), what='warning')
 
 
+@pytest.mark.long
 def test_two_cameras_in_two_namespaces_keep_apart(graph, launch, tmp_path):
     graph = graph()
     sides = {}
@@ -186,6 +190,7 @@ def test_two_cameras_in_two_namespaces_keep_apart(graph, launch, tmp_path):
     assert not {'/tracks', '/camera_info', '/image'} & names
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_in_the_middle_of_images_ends_the_tracker_cleanly(graph, launch, number):
     graph = graph()

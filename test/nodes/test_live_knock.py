@@ -98,6 +98,7 @@ class Drive:
         return self.status()
 
 
+@pytest.mark.long
 @pytest.mark.ros
 def test_a_knock_of_half_a_degree_raises_the_diagnostics(graph, launch):
     robot = Drive(graph(), launch)

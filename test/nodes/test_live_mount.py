@@ -111,6 +111,7 @@ class Tree:
         self._publisher.publish(self._kind(transforms=[sent]))
 
 
+@pytest.mark.long
 @pytest.mark.ros
 @pytest.mark.parametrize('source', [Wheels, pytest.param(Tree, marks=needs_tf)])
 def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, source):

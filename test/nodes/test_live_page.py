@@ -199,6 +199,7 @@ def test_the_page_shows_images_and_numbers_as_they_come_and_its_buttons_work(sta
     graph.wait_for(lambda: not stage.images_wanted(), what='end of the subscription')
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_the_command_serves_the_nodes_of_other_processes_until_it_is_stopped(graph, number):
     graph = graph()

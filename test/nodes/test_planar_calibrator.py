@@ -180,6 +180,7 @@ def test_the_scene_is_published_in_steps_and_upright_and_cleared_on_reset(on_the
     assert late[0].width == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('step_ns', [-250_000_000, 3600 * 10 ** 9])
 def test_a_step_of_the_clock_leaves_the_calibration_in_force(on_the_road, step_ns):
     on_the_road.publish(range(20))

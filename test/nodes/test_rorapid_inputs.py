@@ -96,6 +96,7 @@ def station(graph, launch, tmp_path, recording):
     return make
 
 
+@pytest.mark.long
 def test_a_late_best_effort_camera_is_missed_by_name_and_then_tracked_in(station):
     station = station('-p', 'silence_s:=0.5', '-r', 'image:=/cam/image_raw')
     graph, node = station.graph, station.node
@@ -107,6 +108,7 @@ def test_a_late_best_effort_camera_is_missed_by_name_and_then_tracked_in(station
     graph.wait_for(lambda: node.has_said('images arrive again'))
 
 
+@pytest.mark.long
 def test_publishers_that_come_and_go_are_heard_however_they_send(station):
     station = station()
     reliable = station.graph.probe.create_publisher(Image, 'image', RELIABLE)
@@ -129,6 +131,7 @@ def test_compressed_images_beside_a_remapped_topic_are_tracked_in(station):
     assert station.node.has_said('images arrive on /cam/image_raw/compressed')
 
 
+@pytest.mark.long
 def test_the_search_changes_while_an_object_is_tracked(station):
     station = station()
     camera = station.graph.probe.create_publisher(Image, 'image', RELIABLE)
@@ -147,6 +150,7 @@ def test_the_search_changes_while_an_object_is_tracked(station):
     assert not station.node.has_said('lost') and station.node.process.poll() is None
 
 
+@pytest.mark.long
 @pytest.mark.skipif(find_spec('tf2_msgs') is not None, reason='tf2_msgs is installed')
 def test_what_needs_a_package_that_is_missing_is_refused_and_the_node_goes_on(station):
     station = station()

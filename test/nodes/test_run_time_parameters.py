@@ -40,6 +40,7 @@ pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+@pytest.mark.long
 def test_the_tracker_follows_more_points_and_subscribes_as_it_is_told(graph, launch):
     graph = graph()
     tracks = graph.listen(PointCloud2, 'tracks')
@@ -111,6 +112,7 @@ class Calibration:
         return json.loads(self.results[-1].data)
 
 
+@pytest.mark.long
 def test_facts_and_the_file_of_a_calibrator_change_on_the_way(graph, launch, tmp_path):
     drive = Calibration(graph(), launch, '-p', 'idle_s:=600.0', '-p', 'first_estimate:=24')
     first = drive.next_result(lambda: drive.send(24))
@@ -143,6 +145,7 @@ def test_facts_and_the_file_of_a_calibrator_change_on_the_way(graph, launch, tmp
     assert drive.node.process.poll() is None
 
 
+@pytest.mark.long
 def test_a_player_changes_its_pace_on_the_way(graph, launch, tmp_path):
     frames = [Frame(k, 10 ** 18 + k * 10 ** 9, image_stream.wall(k, 64, 48)) for k in range(21)]
     write_image_bag(tmp_path / 'bag', frames)
@@ -160,6 +163,7 @@ def test_a_player_changes_its_pace_on_the_way(graph, launch, tmp_path):
     assert player.process.wait(15) == 0
 
 
+@pytest.mark.long
 def test_a_publisher_takes_another_file_and_refuses_one_that_is_none(graph, launch, tmp_path):
     paths = []
     for focal in (500.0, 600.0):
@@ -188,6 +192,7 @@ IMPOSSIBLE = {'set_camera_info_service': ('bad name', 'left//camera', '{camera}/
               'output': ('~nobody_of_this_name/x.yaml',)}
 
 
+@pytest.mark.long
 def test_names_and_paths_that_cannot_be_are_refused_and_the_calibrator_goes_on(graph, launch):
     graph = graph()
     node = launch('planar_calibrator')
@@ -202,6 +207,7 @@ def test_names_and_paths_that_cannot_be_are_refused_and_the_calibrator_goes_on(g
     assert node.process.poll() is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('module, given', [
     ('planar_calibrator', 'set_camera_info_service:=bad name'),
     ('planar_calibrator', 'output:=~nobody_of_this_name/x.yaml'),
@@ -212,6 +218,7 @@ def test_names_and_paths_that_cannot_be_are_a_sentence_at_the_start(ended, modul
     assert given.partition(':=')[2] in said and 'Traceback' not in said
 
 
+@pytest.mark.long
 def test_a_publisher_without_a_file_takes_what_does_not_concern_the_file(graph, launch):
     graph = graph()
     # how long the silence has lasted by now is up to the machine

@@ -59,6 +59,7 @@ def wait_until_it_spins(graph, name):
     graph.wait_for(lambda: heard, 30, name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('name', ['feature_tracker', 'planar_calibrator', 'bag_player'])
 def test_a_signal_ends_a_node_cleanly(graph, start, tmp_path, name, number):
@@ -76,6 +77,7 @@ def test_a_signal_ends_a_node_cleanly(graph, start, tmp_path, name, number):
     assert 'Traceback' not in errors
 
 
+@pytest.mark.long
 def test_two_signals_in_a_row_end_a_node_cleanly(graph, start):
     process = start('planar_calibrator')
     wait_until_it_spins(graph(), 'planar_calibrator')
@@ -137,6 +139,7 @@ def test_a_signal_at_once_ends_a_node_silently(start, name):
     assert (process.returncode, errors, output) == (0, '', '')
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name, arguments, words', [
     ('bag_player', [], 'needs a bag'),
     ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere'),

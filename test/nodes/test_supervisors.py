@@ -57,6 +57,7 @@ def alive(process):
         return False
 
 
+@pytest.mark.long
 @pytest.mark.ros
 @pytest.mark.skipif(not Path('/proc/self/stat').is_file(), reason='there is no /proc here')
 @pytest.mark.parametrize('module, words, count, number', [

@@ -261,6 +261,7 @@ def test_other_bounds_hold_for_what_has_been_gathered():
     assert session.keyframes[-1].index - session.keyframes[-2].index == 4
 
 
+@pytest.mark.long
 def test_many_keyframes_go_at_once_in_the_order_and_the_time_of_one_by_one(monkeypatch):
     most, least = 400, 3
     session = fed(SessionSettings(max_keyframes=most, parallax=1e-3), step_px=8, frames=most)

@@ -178,6 +178,7 @@ def test_a_bag_with_depths_says_that_the_model_is_too_large(made, tmp_path, caps
             pass
 
 
+@pytest.mark.long
 def test_depths_of_other_times_are_not_used_in_silence(made, tmp_path, capsys):
     made, images, depths = made
     bag = write(tmp_path / 'bag', made, images, depths, late_ns=16 * MS)

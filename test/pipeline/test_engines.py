@@ -57,6 +57,7 @@ def done(request):
     return request.param, found, before, dict(os.environ)
 
 
+@pytest.mark.long
 def test_every_result_comes_and_is_computed_with_one_thread(done):
     engine, found, before, after = done
     assert found[0] == '1' and found[1] == 1024 and found[2] != os.getpid() and found[3] == 1
@@ -93,6 +94,7 @@ def test_a_job_that_cannot_be_read_on_the_cluster_says_what():
     assert isinstance(value, Exception)
 
 
+@pytest.mark.long
 @both_engines
 def test_a_job_that_kills_its_process_costs_only_itself(engine):
     jobs = [partial(pow, number, 2) for number in range(12)]
@@ -203,6 +205,7 @@ def working(address):
         worker.wait()
 
 
+@pytest.mark.long
 @needs_dask
 def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence(
         scheduler, monkeypatch):
@@ -223,6 +226,7 @@ def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence
         list(run_jobs(abs, [1], engine='dask', scheduler=address))
 
 
+@pytest.mark.long
 @needs_dask
 def test_a_run_whose_workers_are_all_gone_ends_with_a_sentence(scheduler, monkeypatch):
     _, address = scheduler
@@ -246,6 +250,7 @@ def tracks_folder(tmp_path, count):
     return folder
 
 
+@pytest.mark.long
 @both_engines
 def test_a_broken_recording_is_its_own_line_and_nothing_else(tmp_path, engine):
     folder = tracks_folder(tmp_path, 3)

@@ -49,6 +49,7 @@ def keyframe(tracks, index):
     return Keyframe(index, index * 10**9, tracks.track[mask], tracks.xy[mask])
 
 
+@pytest.mark.long
 def test_windows_are_scored_and_agree_with_the_calibration(road):
     tracks, first, calibration = road
     monitoring = Monitoring()
@@ -109,6 +110,7 @@ def robot_with(sequence, knocked_from, knock_deg):
     return found, RobotSnapshot(RobotSource.parse('/odom'), MountFacts(), poses)
 
 
+@pytest.mark.long
 def test_a_camera_that_is_knocked_on_its_robot_is_noticed(road):
     tracks, first, calibration = road
     sequence = drive(np.random.default_rng(31), 0.1, VIEWS, 1600)

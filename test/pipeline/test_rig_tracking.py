@@ -77,6 +77,7 @@ def command(tmp_path):
             str(tmp_path / 'poses.csv'), '--overlay', str(tmp_path / 'out.avi')]
 
 
+@pytest.mark.long
 def test_the_command_line_gives_one_pose_of_two_folders(command, tmp_path, capsys):
     truth = scene()[0][0]
     assert main(command) == 0

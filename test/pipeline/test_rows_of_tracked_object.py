@@ -76,6 +76,7 @@ def test_rows_of_images_without_stamps_are_refused(tmp_path):
                                  init='0 0 1 0 0 0', start=made.camera)
 
 
+@pytest.mark.long
 def test_how_fast_rows_are_read_is_found_and_undone(tmp_path):
     """Without stamps it is told in intervals between images."""
     made = tracked_object(14, 'cube', size=(480, ROWS), speed=3.0, readout_s=READOUT_S,

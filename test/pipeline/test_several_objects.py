@@ -59,6 +59,7 @@ def worst(poses, one):
     return np.rad2deg(np.nanmax(angle)), np.nanmax(share)
 
 
+@pytest.mark.long
 def test_each_of_three_is_followed_as_if_it_were_alone(folder):
     made, _ = scene()
     targets = [Target(one.model, start) for one, start in zip(made, guesses())]
@@ -80,6 +81,7 @@ def test_each_of_three_is_followed_as_if_it_were_alone(folder):
             assert np.rad2deg(angle) < 0.8 and share < 0.01
 
 
+@pytest.mark.long
 def test_the_command_line_writes_a_table_for_each_and_one_video(folder, tmp_path, capsys):
     made, _ = scene()
     write_camera_yaml(tmp_path / 'camera.yaml', made[0].camera, 'camera')
@@ -125,6 +127,7 @@ def test_lists_are_parted_and_a_file_with_a_comma_is_one(tmp_path):
         parted_starts('1;2', 3)
 
 
+@pytest.mark.long
 def test_objects_are_sought_where_no_start_is_known(folder, tmp_path, capsys):
     made, _ = scene()
     write_camera_yaml(tmp_path / 'camera.yaml', made[0].camera, 'camera')

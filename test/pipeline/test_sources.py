@@ -563,6 +563,7 @@ def test_real_images():
         assert source.image_size == (640, 480) and sum(1 for _ in source) == source.count
 
 
+@pytest.mark.long
 def test_a_long_table_is_thinned_to_frames_that_still_share_points(tmp_path):
     # 40 points a frame, each seen in 10 frames
     frame, track = (grid.ravel() for grid in np.mgrid[:900, :40])

@@ -75,6 +75,7 @@ def is_close(made, index, tracked, degrees=1.0, share=0.02):
     return np.rad2deg(angle) < degrees and distance < share
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('change', SETTINGS)
 def test_other_settings_forget_nothing(start, recording, change):
     made, images = recording
@@ -131,6 +132,7 @@ def test_an_object_that_no_image_has_shown_yet_is_sought_from_the_start_pose(sta
     assert is_close(made, 0, session.add(images[0], int(made.stamps_ns[0])))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('change', [*SETTINGS, 'camera'])
 def test_a_zoom_goes_on_from_where_it_is(start, recording, change):
     made, images = recording

@@ -175,6 +175,7 @@ def test_projection_uncertainty_against_draws():
     assert np.abs(ratio - 1).max() < 0.25 and abs(ratio.mean() - 1) < 0.05
 
 
+@pytest.mark.long
 def test_all_figures_are_drawn_and_are_reproducible(calibration, sequence):
     drawings = draw_figures(calibration, sequence.tracks)
     assert [d.name for d in drawings] == ['fixed-points', 'projection', 'lens', 'sigmas',
@@ -225,6 +226,7 @@ def drawn(drawings):
             panel.draw_without_rendering()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('broken', [
     {'camera': Camera(np.diag([900.0, 900, 1]))},
     {'camera': Camera([[900, 0, 400], [0, 900, 0], [0, 0, 1]], width=4000, height=2)},
@@ -237,6 +239,7 @@ def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, brok
     drawn(draw_figures(replace(calibration, **broken), sequence.tracks))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings('error')
 def test_strange_geometry_is_drawn_as_far_as_it_goes(calibration, sequence):
     shape = calibration.reconstruction

@@ -56,6 +56,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('case', CASES)
 def test_observations_fit_as_the_calibration_says(case):
     # with all rows at once a hand read in 30 ms left 3.2 px in place of 0.26

@@ -154,6 +154,7 @@ def back_after_absence(shape, first):
     return np.array(errors).reshape(-1, 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('first', (60, 110))
 def test_an_object_that_comes_back_otherwise_turned_is_found(first):
     errors = back_after_absence('l_block', first)
@@ -166,10 +167,12 @@ def test_an_object_that_looks_the_same_turned_by_half_is_found_in_either_pose():
     assert len(errors) >= 2 and (half < 1.0).all() and np.ptp(errors[:, 0]) < 1.0
 
 
+@pytest.mark.long
 def test_a_cube_with_pictures_is_not_found_turned_by_a_quarter():
     assert (back_after_absence('cube', 130)[:, 0] < 1.0).all()
 
 
+@pytest.mark.long
 def test_another_object_that_comes_in_is_not_taken_for_it():
     made, scene, images = sequence('l_block', 110)
     tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
@@ -198,11 +201,13 @@ def come_back(shape, what, images=4):
             for frame, pose in zip(frames, poses[120:]) if frame]
 
 
+@pytest.mark.long
 def test_a_round_part_that_looks_different_from_all_sides_is_found_by_its_outline():
     errors = come_back(ring, 'plain')
     assert errors and max(errors) < 3
 
 
+@pytest.mark.long
 def test_a_round_part_that_looks_alike_from_two_sides_stays_lost():
     assert not come_back(bean, 'plain', 5)
 
@@ -246,6 +251,7 @@ def test_an_object_before_a_plain_background_is_found_without_a_start():
         assert not frame or turned_by_deg(frame.rotation, pose[:, :3]) < 3
 
 
+@pytest.mark.long
 def test_an_object_that_moves_before_a_wall_is_found_without_a_start():
     made, _, images = sequence('l_block', 60, seed=502)
     frames = sought(made.model, made.camera, images[:10])
@@ -254,6 +260,7 @@ def test_an_object_that_moves_before_a_wall_is_found_without_a_start():
     assert all(turned_by_deg(frames[k].rotation, made.rotations[k]) < 1.5 for k in found)
 
 
+@pytest.mark.long
 def test_another_object_is_not_found_and_it_is_said_what_is_missing():
     made, _, images = sequence('l_block', 60)
     other = tracked_object(2, shape='cube')

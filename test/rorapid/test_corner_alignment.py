@@ -77,6 +77,7 @@ def test_an_image_without_corners_gives_no_pose():
     assert alignment.poses(np.full((480, 640), 90, np.uint8), K, 24) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', SHAPES)
 def test_it_is_found_in_one_place_before_a_wall_full_of_things(name):
     """The images are the same but for noise: nothing tells by its motion."""
@@ -94,6 +95,7 @@ def test_it_is_found_in_one_place_before_a_wall_full_of_things(name):
         assert cKDTree(placed).query(true)[0].max() < 0.02 * made.model.diameter_m
 
 
+@pytest.mark.long
 def test_a_painted_cube_on_a_desk_is_found_and_its_distance_is_not_doubted():
     sequence = cube_sequence()
     if sequence is None:
@@ -120,6 +122,7 @@ def test_one_that_moves_on_while_it_is_sought_is_met_where_it_goes():
     assert states.count(TrackerState.INITIALISING) >= 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('sought', ('cube', 'slab'))
 def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought):
     made = tracked_object(9, 'step_block', seed=32, supersampling=2, background=True)

@@ -58,6 +58,7 @@ def errors(frames, poses):
                      for frame, pose in zip(frames, poses) if frame])
 
 
+@pytest.mark.long
 def test_poses_of_a_round_part_are_better_by_depths_and_their_sigmas_true():
     off: tuple[list, list] = ([], [])
     square: list = []
@@ -75,6 +76,7 @@ def test_poses_of_a_round_part_are_better_by_depths_and_their_sigmas_true():
     assert 0.2 < np.mean(square) < 2.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('spoilt', ('nothing', 'no number', 'something before it', 'the wall'))
 def test_depths_that_say_nothing_change_nothing(spoilt):
     images, depths, poses, model = lump()
@@ -95,6 +97,7 @@ def block():
     return made, [made.frame(k, renderer) for k in range(14)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('size, scale, said', (
     (1.0, 1.0, ''), (1.0, 1.004, ''), (1.05, 1.0, 'too large'), (0.97, 1.0, 'too small'),
     (1.0, 1.05, 'too small')))

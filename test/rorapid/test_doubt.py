@@ -108,6 +108,7 @@ def test_a_doubt_stands_while_the_pose_gives_way_to_the_model_or_leaves_its_line
     assert name == 'The edge 7-5' and 40 * share < float(said.split()[0]) < 100 * share
 
 
+@pytest.mark.long
 def test_a_doubt_goes_when_the_edges_fit_again():
     right = tracked_object(100, 'step_block', seed=6, supersampling=1)
     solid, higher = SHAPES['step_block'](), np.array([1, 1, 1.05])
@@ -201,6 +202,7 @@ def test_a_start_that_is_too_far_widens_the_sigma_along_the_ray(camera_model):
     assert frame.covariance[2, 2]**0.5 > 0.06 * made.translations[-1][2]
 
 
+@pytest.mark.long
 def test_what_a_doubt_adds_after_a_reset_is_what_it_adds_at_first():
     made = tracked_object(60, 'box', motion='planar', background=True, supersampling=1)
     renderer = made.renderer()

@@ -18,6 +18,7 @@ from dataclasses import replace
 from bench.tracking import tracking_jumps, tracking_starts
 from bench.tracking.tracking_runs import frame_error, WRONG
 import numpy as np
+import pytest
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -26,6 +27,7 @@ from selfcal_ros.synthetic.objects import tracked_object
 from selfcal_ros.synthetic.render import quantise
 
 
+@pytest.mark.long
 def test_after_missing_images_an_object_is_tracked_where_it_is():
     """Three to six images are missing now and then: it was tracked on, 30 degrees off."""
     followed = tracking_jumps.follow('cube', (3, 7), False, 0, samples=2)
@@ -61,6 +63,7 @@ def test_a_pose_whose_edges_lie_in_any_distance_is_not_called_tracked():
     assert TrackerState.TRACKING in states and TrackerState.LOST not in states
 
 
+@pytest.mark.long
 def test_an_object_that_goes_away_is_not_tracked_on_the_wall_behind_it():
     """Without a motion to lean on, edges of other things were taken for its own."""
     made = tracking_starts.Sequence.render('slab', 83, 20).made

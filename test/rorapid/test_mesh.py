@@ -391,6 +391,7 @@ def test_the_renderer_draws_a_part_neither_wider_nor_narrower():
     assert np.sqrt(part.sum() / part[35:45, 40:50].mean()) == pytest.approx(side, abs=0.08)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('part, speed, first', ((ring, 0.9, 60), (handle, 0.9, 60)))
 def test_a_patterned_part_is_followed_by_its_pattern_too(part, speed, first):
     vertices, faces = part()
@@ -420,6 +421,7 @@ def test_a_start_at_the_camera_itself_is_no_accident(depth_m):
         assert not tracker.track(image)
 
 
+@pytest.mark.long
 def test_half_an_outline_of_a_lump_is_never_tracked_to_a_wrong_pose():
     vertices, faces = bean()
     model = MeshModel.build(vertices, faces)
@@ -457,6 +459,7 @@ def vase(size_m=0.12):
                                                     np.stack([a, b + 64, a + 64], axis=1)])
 
 
+@pytest.mark.long
 def test_a_start_that_was_never_confirmed_is_not_tracked_far_off():
     vertices, faces = vase()
     model = MeshModel.build(vertices, faces)

@@ -179,6 +179,7 @@ def test_the_scale_is_stated_once():
             ModelRequest(camera, **wrong)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not CUBE.is_dir(), reason=f'needs the image sequence {CUBE}')
 def test_two_images_of_a_real_cube_make_a_model_that_tracks_it(tmp_path):
     camera = Camera(json.loads((CUBE / 'gt.json').read_text())['K'], width=640, height=480)

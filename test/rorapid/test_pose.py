@@ -31,6 +31,7 @@ def random_pose(rng):
     return rotation, np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.4, 1.0)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('points', (BOX, np.vstack([BOX, [[0, 0.068, 0]]]),
                                     np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0],
                                               [0, 0.1, 0], [0.05, 0.02, 0]])))

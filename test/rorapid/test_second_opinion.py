@@ -16,9 +16,11 @@
 from __future__ import annotations
 
 from bench.tracking.tracking_walls import follow
+import pytest
 from selfcal_ros.rorapid.tracker import TrackerState
 
 
+@pytest.mark.long
 def test_a_pose_that_the_edges_would_leave_is_asked_again():
     """
     Of 100 images 21 were called tracked and wrong (d² above 50).

@@ -56,6 +56,7 @@ def square(tracked, truth, k):
     return float(off @ np.linalg.solve(tracked.covariance, off))
 
 
+@pytest.mark.long
 def test_two_cameras_know_depth_better_by_what_triangulation_gives():
     (truth, _), cameras, (left, right) = scene()
     rig = started(truth.model, cameras, truth)
@@ -122,6 +123,7 @@ def test_an_instant_that_only_a_camera_that_looks_away_has_an_image_of_is_no_end
     assert square(after, truth, 5) < chi2.ppf(1 - 1e-5, 6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('degrees', (2.0, 0.3))
 def test_a_wrong_transform_is_said_and_no_sigma_is_small(degrees):
     (truth, _), cameras, images = scene('step_block', 43, views=30)
@@ -137,6 +139,7 @@ def test_a_wrong_transform_is_said_and_no_sigma_is_small(degrees):
     assert said == pytest.approx(degrees, rel=0.15)
 
 
+@pytest.mark.long
 def test_what_is_not_known_of_a_transform_counts_and_is_no_contradiction():
     (truth, _), cameras, images = scene('cube', 44, views=30)
     wrong = turned_camera(cameras[1], 0.05)
@@ -151,6 +154,7 @@ def test_what_is_not_known_of_a_transform_counts_and_is_no_contradiction():
     assert np.trace(found.covariance[:3, :3]) > np.trace(best.covariance[:3, :3])
 
 
+@pytest.mark.long
 def test_of_three_cameras_the_one_that_is_knocked_is_named_and_left_out():
     recordings, cameras, images = scene('box', 45, (0.0, 0.35, -0.4), 42)
     truth = recordings[0]

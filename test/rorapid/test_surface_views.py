@@ -100,6 +100,7 @@ def test_a_view_of_an_unconfirmed_pose_is_as_unsure_as_the_pose_and_may_be_disow
     assert views.known
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('shape, seed', [(bean, 3), (handle, 22)])
 def test_a_pattern_does_not_draw_a_start_away_before_it_is_confirmed(shape, seed):
     """The edges of the pattern drew these 10 and 12 degrees off, and called that tracked."""

@@ -92,6 +92,7 @@ RATIONAL = Camera([[300, 0, 325], [0, 300, 236], [0, 0, 1]],
                   'rational_polynomial')
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('camera', (wide_camera(150.0), RATIONAL), ids=lambda c: c.model)
 def test_poses_through_wide_lenses_are_those_of_the_truth_within_their_sigmas(camera):
     made = tracked_object(18, supersampling=2, camera=camera, seed=11)
@@ -108,6 +109,7 @@ def test_poses_through_wide_lenses_are_those_of_the_truth_within_their_sigmas(ca
     assert 2 < np.mean(square) < 12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('motion', ('translation', 'planar'))
 def test_restricted_motion_is_at_least_as_accurate_and_more_certain(motion):
     made, images = recording(motion=motion)
@@ -146,6 +148,7 @@ def test_zoom_finds_the_focal_length(wrong):
     assert frames[-1].camera_model == 'zoom'
 
 
+@pytest.mark.long
 def test_zoom_says_when_the_focal_length_cannot_be_told():
     made, images = recording(15, zoom_px=(20000.0, 25000.0))
     frames = follow(made, images, TrackerOptions(camera_model='zoom'), guess=0.01,

@@ -147,6 +147,7 @@ def video(name):
         images.append(image)
 
 
+@pytest.mark.long
 @needs_videos
 def test_the_tea_box_is_followed_by_both_cameras():
     """Clicks are in the order of the .init file; the two poses agree through the stereo pair."""

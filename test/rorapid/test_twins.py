@@ -43,6 +43,7 @@ def away_m(frame, one):
     return float(np.linalg.norm(frame.translation - one.translations[-1]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', (5, 21))
 def test_a_hidden_object_is_not_found_in_its_twin_and_comes_back(seed):
     (own, twin), images = scene(seed)

@@ -48,6 +48,7 @@ def _edge_offsets(recording, index, renderer):
     return (0.5 - behind) * len(steps) * 0.125
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('shape', SHAPES)
 def test_edges_of_the_model_are_edges_of_the_image(shape):
     recording = tracked_object(90, shape, noise_sigma=0.0, distortion=(-0.1, 0.02, 0, 0),

@@ -151,6 +151,7 @@ def test_image_folder_holds_frames_and_truth(tmp_path):
     np.testing.assert_allclose(truth['cam_from_world'], recording.cam_from_world, atol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', ['agv_drive', 'arm_move'])
 def test_bag_holds_what_the_recipe_makes(name, recipes):
     recording = recipes.RECIPES[name]()
