@@ -79,7 +79,8 @@ def test_the_workflow_runs_make_test_on_every_python_that_setup_py_takes():
     assert {'python': '3.13', 'versions': 'numpy==1.26.*'} not in matrix
     assert any('make test' in step.get('run', '') for step in jobs['wheels']['steps'])
     # what `make test` leaves out is run in the workspace
-    workspace = [step['run'] for step in jobs['ros']['steps'] if 'pytest -n' in step.get('run', '')]
+    workspace = [step['run'] for step in jobs['ros']['steps']
+                 if 'pytest -n' in step.get('run', '')]
     assert len(workspace) == 1 and 'long' not in workspace[0]
 
 

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.estimators.moving_camera import MovingCamera
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.estimators.stated_shutter import with_tested_shutter
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.estimators.turning_views import better_without, frames_in_motion
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
@@ -222,7 +223,8 @@ def _calibrated(tracks: Tracks, request: _Request) -> Calibration | NotCalibrate
 
 def _of_graph(graph: ViewGraph, tracks: Tracks, request: _Request) -> Calibration | NotCalibrated:
     """Calibrate from connected views."""
-    result = _by_motion(graph, tracks, request)
+    result = with_tested_shutter(
+        lambda facts: _by_motion(graph, tracks, replace(request, facts=facts)), request.facts)
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
             of_one = _of_one_camera(tracks, result, request.of_all_views())

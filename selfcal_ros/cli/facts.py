@@ -86,7 +86,8 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        'a calibration is refused')
     group.add_argument('--shutter', choices=('auto', 'global', 'rolling'), default='auto',
                        help='whether all rows are read at once, or one after the other (default '
-                       'auto: found out, but not with --object)')
+                       'auto: found out, but not with --object); global is refused if the images '
+                       'contradict it')
     group.add_argument('--line-delay', type=float, metavar='S',
                        help='known time from one row to the next, in seconds; negative from the '
                        'lowest row up (default: estimated with a rolling shutter); of an upright '

@@ -253,8 +253,9 @@ REFUSALS: dict[str, Phrase] = {
         'Released, the fact comes out elsewhere, beyond chance, and the camera with it. Either '
         'the fact is wrong, or the tracks are. Of fewer than six images it may be a rolling '
         'shutter, which is not asked for then.',
-        'Release it (--aspect-ratio free, --skew free, --lens auto, no --principal-point), or '
-        'state it with a sigma; where the fact is certain, say --trust-facts.'),
+        'Release it (--aspect-ratio free, --skew free, --lens auto, --shutter auto, no '
+        '--principal-point), or state it with a sigma; where the fact is certain, say '
+        '--trust-facts.'),
     'two_cameras': Phrase(
         'The images are of two cameras: those of {second:frames} differ from those of '
         '{first:frames}.',

@@ -70,7 +70,8 @@ class CameraFacts:
         Whether the focal length is the same in all views (zoom, refocusing, warm-up). 'auto':
         constant, unless the images contradict.
     shutter : {'auto', 'global', 'rolling'}
-        Whether all rows are read at once or one after the other; 'auto': found out.
+        Whether all rows are read at once or one after the other; 'auto': found out. Either is
+        held against the images.
     line_delay_s : float, optional
         Seconds from one row to the next, negative from the lowest row up. None: not known.
     line_delay_sigma_s : float

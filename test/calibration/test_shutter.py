@@ -184,6 +184,41 @@ def test_a_camera_that_only_turns_is_read_in_rows_too(readout_ms):
     assert not blind or abs(blind.camera.K[0, 0] - 520) > 4 * abs(result.camera.K[0, 0] - 520)
 
 
+@pytest.mark.long
+def test_a_stated_shutter_is_held_against_the_images():
+    # it was not asked about: skew or things that move were blamed, or nothing was
+    sequence = recorded(0.02)
+
+    def under(**stated):
+        return calibrate(sequence.tracks, facts=replace(SQUARE, **stated), motion='planar',
+                         start=CAMERA)
+
+    refused = under(shutter='global')
+    assert (refused.kind, refused.values['fact']) == ('fact_contradicted', 'global shutter')
+    prefers, = refused.values['preferred']
+    assert prefers['stated'] == 0 and abs(prefers['value'] - 20) < 4 * prefers['sigma'] < 2
+    assert 'readout in ms' in refused.reason
+    # who knows better may say so
+    kept = under(shutter='global', trusted=True)
+    assert kept.shutter is None and 'fact_trusted' in [one.kind for one in kept.findings]
+    wrong = under(line_delay_s=1.2 * sequence.line_delay_s)
+    assert wrong.values['fact'] == 'line delay'
+    assert abs(wrong.values['preferred'][0]['value'] - 1e6 * sequence.line_delay_s) < 2
+    # with a sigma that allows for it, it is no contradiction
+    allowed = under(line_delay_s=1.2 * sequence.line_delay_s,
+                    line_delay_sigma_s=0.2 * sequence.line_delay_s)
+    assert allowed and np.abs(deviations(allowed, sequence)).max() < 4
+    assert 'line delay' not in [one.values.get('fact') for one in allowed.findings]
+
+
+def test_a_global_shutter_of_views_far_apart_is_held_against_the_images():
+    sequence = recorded(0.02, hand, views=11)
+    refused = calibrate(sequence.tracks, facts=replace(SQUARE, shutter='global'),
+                        motion='general', start=CAMERA)
+    assert refused.values['fact'] == 'global shutter'
+    assert 'prefer shutter = rolling in place of global' in refused.reason
+
+
 def test_a_global_shutter_is_told_apart_and_a_stated_delay_is_held():
     sequence = recorded(0.0)
     result = calibrate(sequence.tracks, facts=SQUARE, motion='planar', start=CAMERA)

@@ -81,6 +81,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     fit, (sigma, gain) = read[best], evidence[best]
     if gain <= LEAST_GAIN:
         return decision
+    sigmas = float(np.sqrt(2 * gain))
     left_px = left_otherwise_px(fit, tuple(clock.times.tolist()), gain)
     found = None
     for _ in range(ROUNDS):
@@ -94,7 +95,7 @@ def with_own_rows(decision: ShutterDecision, observations: Observations,
     # with the size that the fit found: that of the linear step may be an eighth of it
     if found is None or sigma >= SIZES[-1] or fit.bundle.sigma_px > CLEARLY_LESS * left_px:
         return decision
-    return ShutterDecision(fit, (Finding('rows_by_view', share=found),))
+    return ShutterDecision(fit, (Finding('rows_by_view', share=found, sigmas=sigmas),))
 
 
 def own_motion_evidence(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:

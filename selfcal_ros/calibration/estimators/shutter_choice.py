@@ -250,7 +250,8 @@ def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFact
         return ShutterDecision(fit, shift=tested.shift)
     if observations.neighbours is not None or doubt_of_pace(rolling) < MAX_DOUBT:
         return ShutterDecision(rolling)
-    return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
+    return ShutterDecision(fit, (Finding('rolling_shutter_suspected', sigmas=tested.surely),),
+                           tested.shift)
 
 
 def possible_clocks(clock: Clock, size: tuple[int, int]) -> list[Clock]:
