@@ -30,7 +30,7 @@ from selfcal_ros.calibration.estimators.motion_choice import calibrate_moving
 from selfcal_ros.calibration.estimators.moving_camera import MovingCamera
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
-from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.estimators.stated_rotation import calibrate_said_to_rotate
 from selfcal_ros.calibration.estimators.stated_shutter import with_tested_shutter
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.estimators.turning_views import better_without, frames_in_motion
@@ -245,14 +245,15 @@ def _by_motion(graph: ViewGraph, tracks: Tracks, request: _Request) -> Calibrati
     """Calibrate by the motion that is stated, or by the one that is found."""
     size, facts = tracks.image_size, request.facts
     assert size is not None
-    if request.motion == 'rotation':
-        return calibrate_rotating(graph.tracks, size, facts)
     if request.motion == 'translation':
         return calibrate_translated(graph, size, facts, request.translation_frames)
     if request.motion == 'repeated':
         return calibrate_repeated_objects(graph, size, facts, request.translation_frames)
     if request.views is not None:
         return calibrate_few_views(graph, size, facts, request.proposals)
+    if request.motion == 'rotation':
+        return calibrate_said_to_rotate(MovingCamera(graph, size, facts, 'auto',
+                                                     request.proposals))
     return calibrate_moving(MovingCamera(graph, size, facts, request.motion, request.proposals))
 
 

@@ -108,8 +108,13 @@ REMARKS: dict[str, Phrase] = {
         'allow for it.',
         'Such a turn looks like one about the camera itself, with another focal length. The '
         'points are too alike in depth, or too few, to tell the two apart.',
-        'Record something near as well, turn farther, or move the camera; state a rotation '
-        '(--motion rotation) only if the head is known to be exact.'),
+        'Record something near as well, turn farther, or move the camera. Of a head that is known '
+        'to be exact say --motion rotation --trust-facts.'),
+    'not_exactly_rotation': Phrase(
+        'The camera turned about a point beside it, which was estimated too.',
+        'The images contradict a rotation about the centre of the camera beyond four sigmas. A '
+        'pan-tilt head has such a lever, and so has a wrist.',
+        'Nothing; say --trust-facts only of a head that is known to be exact.'),
     'circular_motion': Phrase(
         'The camera circles one axis; the calibration rests on square pixels.',
         'Circular motion leaves two directions of the parameters open. Facts close them.',

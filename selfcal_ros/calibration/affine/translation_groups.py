@@ -112,7 +112,10 @@ class TranslationGroups:
         if not len(tests.frames):
             return NoEstimate('too_few_shared', views=2, needed=MIN_MATCHES, items='points')
         if not self.groups:
-            best = int(np.argmin(tests.statistic / tests.limit))
+            # pairs that hardly moved are rejected for nothing but that
+            ratio = tests.statistic / tests.limit
+            best = int(np.argmin(np.where(tests.translated & ~tests.translated.all(), np.inf,
+                                          ratio)))
             a, b = tests.frames[best]
             return NoEstimate('no_translated_pair', pairs=len(tests.frames), first=int(a),
                               second=int(b), statistic=float(tests.statistic[best]),

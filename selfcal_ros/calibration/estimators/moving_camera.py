@@ -181,6 +181,11 @@ class MovingCamera:
         return fit_rotations(self.graph.tracks, self.size, self.facts,
                              MAX_NOISE_OF_START * self.graph.noise_px)
 
+    def rotations_as_stated(self) -> RotationFit | NoEstimate:
+        """Fit rotations alone, as the camera is said to turn only."""
+        return fit_rotations(self.graph.tracks, self.size, self.facts,
+                             varying=self.facts.focal == 'varying')
+
     def judged(self, rotations: RotationFit | NoEstimate | None, may_zoom: bool,
                ) -> Calibration | NoEstimate:
         """Return a camera that only rotates; where no rotations were fitted, it may zoom."""
