@@ -23,6 +23,8 @@ then a "point" is a view, and v is zero.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +34,7 @@ from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.small_cholesky import inverse_cholesky
 from selfcal_ros.geometry.view_blocks import ViewBlocks
-from selfcal_ros.geometry.view_chain import chain_of_views
+from selfcal_ros.geometry.view_chain import chain_of_views, ViewChain
 
 #: Points are reduced in groups that share a few views, so that the cost grows with the length of
 #: the tracks and not with that of the sequence. Large groups take fewer calls, smaller ones fewer
@@ -45,7 +47,8 @@ MANY_VIEWS, STRETCH, SMALLER_PART = 200, 32, 16
 MOST_RUNS = 16
 
 
-class _Group(NamedTuple):
+@dataclass(frozen=True)
+class _Group:
     """
     Points that are eliminated together.
 
@@ -71,6 +74,37 @@ class _Group(NamedTuple):
         """Tell how the work of the elimination grows."""
         return len(self.members) * len(self.window)**2
 
+    @cached_property
+    def stretches(self) -> list[tuple[int, int, int]]:
+        """Begin and end in the window of views in a row, and the first of these views."""
+        ends = np.flatnonzero(np.r_[np.diff(self.window) != 1, True]) + 1
+        begins = np.r_[0, ends[:-1]]
+        return list(zip(begins.tolist(), ends.tolist(), self.window[begins].tolist()))
+
+    def places(self, g: int, v: int) -> slice | np.ndarray:
+        """Tell where the unknowns of the window stand among all."""
+        if len(self.stretches) == 1:
+            (_, count, first), = self.stretches
+            return slice(g + first * v, g + (first + count) * v)
+        own: np.ndarray = (g + self.window[:, None] * v + np.arange(v)).ravel()
+        return own
+
+    def subtract(self, matrix: np.ndarray, gram: np.ndarray, g: int, v: int) -> None:
+        """Subtract products (g + w v,) of what is shared and of the window, squared."""
+        if len(self.stretches) >= MOST_RUNS:
+            # numbers of a flat array take half the time of rows and columns
+            rows = np.concatenate([np.arange(g), self.places(g, v)])
+            matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
+            return
+        # a few stretches of views, as on several laps: whole rows are quicker than single numbers
+        runs = [(slice(0, g), slice(0, g)), *(
+            (slice(g + begin * v, g + end * v),
+             slice(g + first * v, g + (first + end - begin) * v))
+            for begin, end, first in self.stretches)]
+        for part, at in runs:
+            for other, there in runs:
+                matrix[at, there] -= gram[part, other]
+
 
 class PointBlocks:
     """
@@ -90,17 +124,40 @@ class PointBlocks:
         self.view_count = int(view.max()) + 1
         self.first = np.flatnonzero(np.r_[True, np.diff(point) > 0])
         self.length = np.diff(np.r_[self.first, len(point)])
-        by_view = np.argsort(view, kind='stable')
-        self._by_view = by_view
-        self._view_first = np.searchsorted(view[by_view], np.arange(self.view_count + 1))
-        self._view_sum = csr_matrix((np.ones(len(view)), by_view, self._view_first),
-                                    shape=(self.view_count, len(view)))
         self._transposed: tuple[np.ndarray, np.ndarray, csr_array] | None = None
-        self.chain = chain_of_views(point, view, self.view_count)
-        place = view if self.chain is None else self.chain.place[view]
-        order = _beside_alike(point, place, self.first)
-        # observations of one point in one view are added up before the points are eliminated
-        self._cells = np.flatnonzero(np.r_[True, (np.diff(point) != 0) | (np.diff(view) != 0)])
+
+    # ------------------------------------------------------------------ made when asked for
+
+    @cached_property
+    def _rows_of_views(self) -> csr_matrix:
+        """Observations of every view, as a matrix (V, N) of ones."""
+        by_view = np.argsort(self.view, kind='stable')
+        first = np.searchsorted(self.view[by_view], np.arange(self.view_count + 1))
+        return csr_matrix((np.ones(len(by_view)), by_view, first),
+                          shape=(self.view_count, len(by_view)))
+
+    def _of_view(self, k: int) -> np.ndarray:
+        """Return which observations a view has."""
+        first, last = self._rows_of_views.indptr[k:k + 2]
+        rows: np.ndarray = self._rows_of_views.indices[first:last]
+        return rows
+
+    @cached_property
+    def chain(self) -> ViewChain | None:
+        """Levels of the views, where they save much."""
+        return chain_of_views(self.point, self.view, self.view_count)
+
+    @cached_property
+    def _cells(self) -> np.ndarray:
+        """First observation of each point in each view: they are added up, and eliminated."""
+        return np.flatnonzero(np.r_[
+            True, (np.diff(self.point) != 0) | (np.diff(self.view) != 0)])
+
+    @cached_property
+    def groups(self) -> list[_Group]:
+        """Points that are eliminated together."""
+        place = self.view if self.chain is None else self.chain.place[self.view]
+        order = _beside_alike(self.point, place, self.first)
         first = np.searchsorted(self._cells, self.first)
         cells = np.diff(np.r_[first, len(self._cells)])
         cell_place = place[self._cells]
@@ -125,9 +182,10 @@ class PointBlocks:
             return [smaller for part in parts for smaller in split(part, sizes[1:])]
 
         sizes = (PART_POINTS,) if self.view_count < MANY_VIEWS else (PART_POINTS, SMALLER_PART)
-        self.groups: list[_Group] = []
-        for start in range(0, self.point_count, GROUP_POINTS):
-            self.groups += split(group(order[start:start + GROUP_POINTS]), sizes)
+        return [part for start in range(0, self.point_count, GROUP_POINTS)
+                for part in split(group(order[start:start + GROUP_POINTS]), sizes)]
+
+    # ------------------------------------------------------------------ sums
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
@@ -141,14 +199,14 @@ class PointBlocks:
 
     def sum_over_views(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, k) of each view: (V, k)."""
-        total: np.ndarray = self._view_sum @ values
+        total: np.ndarray = self._rows_of_views @ values
         return total
 
     def products_by_views(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Sum AᵀB over the observations of each view, of (N, m, v) and (N, m, q): (V, v, q)."""
         products = np.zeros((self.view_count, one.shape[2], other.shape[2]))
         for k in range(self.view_count):
-            rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
+            rows = self._of_view(k)
             np.matmul(one[rows].reshape(-1, one.shape[2]).T,
                       np.take(other, rows, axis=0).reshape(-1, other.shape[2]), out=products[k])
         return products
@@ -176,16 +234,21 @@ class PointBlocks:
         ndarray, shape (P, p)
 
         """
-        p = jac_point.shape[2]
+        m, p = jac_point.shape[1:]
         weighted = jac_point * weight[:, None, None]
         H, b = np.empty((self.point_count, p, p)), np.empty((self.point_count, p))
-        # entry by entry: sums over contiguous numbers are the quick ones
+
+        def summed(i: int, other: np.ndarray) -> np.ndarray:
+            # entry by entry: sums over contiguous numbers are the quick ones
+            products = weighted[:, 0, i] * other[:, 0]
+            for k in range(1, m):
+                products += weighted[:, k, i] * other[:, k]
+            return self.sum_over_points(products)
+
         for i in range(p):
             for j in range(i + 1):
-                H[:, i, j] = H[:, j, i] = np.add.reduceat(
-                    np.einsum('nm,nm->n', weighted[:, :, i], jac_point[:, :, j]), self.first)
-            b[:, i] = np.add.reduceat(np.einsum('nm,nm->n', weighted[:, :, i], residual),
-                                      self.first)
+                H[:, i, j] = H[:, j, i] = summed(i, jac_point[:, :, j])
+            b[:, i] = summed(i, residual)
         return H, b
 
     def _products(self, jac_point: np.ndarray, jac_shared: np.ndarray,
@@ -230,7 +293,7 @@ class PointBlocks:
     def _grams(self, full: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Return every view, and JᵀJ of its observations, from rows (N, m, g + v)."""
         for k in range(self.view_count):
-            rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
+            rows = self._of_view(k)
             if len(rows):
                 J = np.take(full, rows, axis=0).reshape(-1, full.shape[2])
                 yield k, J.T @ J
@@ -287,6 +350,7 @@ class PointBlocks:
 
         """
         g = full.shape[2] - v
+        full, jac_point = np.ascontiguousarray(full), np.ascontiguousarray(jac_point)
         matrix: ViewBlocks | ChainMatrix
         if self.chain is not None and v:
             matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
@@ -363,12 +427,13 @@ class UnreducedSystem(NamedTuple):
         scale += floor
         inverse_root = inverse_cholesky(H)
         factors = []
-        for members, rows, slot, column, window in self.groups:
+        for group in self.groups:
+            members, window = group.members, group.window
             W = np.zeros((len(members), p, g + len(window) * v))
             W[..., :g] = self.shared[members]
             if self.cross is not None:
                 by_view = W[..., g:].reshape(len(members), p, len(window), v)
-                by_view[slot, :, column] = self.cross[rows]
+                by_view[group.slot, :, group.column] = self.cross[group.rows]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
             own: slice | np.ndarray
@@ -376,8 +441,8 @@ class UnreducedSystem(NamedTuple):
                 matrix.add_gram(gram, window, -1.0)
                 own = matrix.rows_of(window)
             else:
-                own = _places(window, g, v)
-                _subtract(matrix, gram, g, own)
+                own = group.places(g, v)
+                group.subtract(matrix, gram, g, v)
             factors.append((members, M, own))
         system = ReducedSystem(self.blocks, matrix, diagonal, self.residual, self.jac_rest,
                                self.jac_point, inverse_root, factors, g)
@@ -396,34 +461,3 @@ def _beside_alike(point: np.ndarray, place: np.ndarray, first: np.ndarray) -> np
         # stretches as the digits of a number, those seen first before the others
         keys += list(~np.packbits(seen, axis=1).T[::-1])
     return np.lexsort(keys)
-
-
-def _places(window: np.ndarray, g: int, v: int) -> slice | np.ndarray:
-    """Tell where the unknowns of some views stand among all."""
-    first, last = int(window[0]), int(window[-1])
-    if last - first + 1 == len(window):
-        return slice(g + first * v, g + (last + 1) * v)
-    own: np.ndarray = (g + window[:, None] * v + np.arange(v)).ravel()
-    return own
-
-
-def _subtract(matrix: np.ndarray, gram: np.ndarray, g: int, own: slice | np.ndarray) -> None:
-    """Subtract the products of what is shared and of some views from the matrix of all."""
-    if isinstance(own, slice):
-        matrix[:g, :g] -= gram[:g, :g]
-        matrix[:g, own] -= gram[:g, g:]
-        matrix[own, :g] -= gram[g:, :g]
-        matrix[own, own] -= gram[g:, g:]
-        return
-    rows = np.r_[:g, own]
-    ends = np.flatnonzero(np.r_[np.diff(rows) != 1, True]) + 1
-    if len(ends) > MOST_RUNS:
-        # numbers of a flat array take half the time of rows and columns
-        matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
-        return
-    # a few stretches of views, as on several laps: whole rows are quicker than single numbers
-    runs = [(slice(begin, end), slice(rows[begin], rows[end - 1] + 1))
-            for begin, end in zip(np.r_[0, ends[:-1]].tolist(), ends.tolist())]
-    for part, at in runs:
-        for other, there in runs:
-            matrix[at, there] -= gram[part, other]

@@ -231,8 +231,8 @@ class Bundle(Generic[StateT]):
         wide = root[..., None]
         shared, view = linearisation.shared, linearisation.view
         full = np.empty((*shared.shape[:2], shared.shape[2] + view.shape[2]))
-        np.multiply(shared, wide, out=full[:, :, :shared.shape[2]])
-        np.multiply(view, wide, out=full[:, :, shared.shape[2]:])
+        np.concatenate([shared, view], axis=2, out=full)
+        full *= wide
         return self.blocks.unreduced_rows(full, view.shape[2], linearisation.eliminated * wide,
                                           linearisation.residual * root), root
 

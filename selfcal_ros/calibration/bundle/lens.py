@@ -204,7 +204,8 @@ class Projection:
 
         """
         f, aspect, _, _, skew = self.lens.values[:5]
-        J = np.zeros((len(self.xd), 2, max(columns, len(self.lens))))
+        # each number of all points in a row in memory
+        J = np.zeros((max(columns, len(self.lens)), 2, len(self.xd))).transpose(2, 1, 0)
         J[:, 0, _F], J[:, 1, _F] = self.xd, aspect * self.yd
         J[:, 1, _ASPECT] = f * self.yd
         J[:, 0, _CX] = J[:, 1, _CY] = 1

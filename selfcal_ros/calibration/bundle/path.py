@@ -225,7 +225,7 @@ class AxisPath:
 
         """
         names = tuple(name for name in VIEW_NAMES if name in names)
-        own = np.empty((*J.shape[:2], len(names)))
+        own = np.empty((len(names), *J.shape[1::-1])).transpose(2, 1, 0)     # as J in memory
         for k, name in enumerate(_MOVES):
             if name in names:
                 np.multiply(J[:, :, k], weight, out=own[:, :, names.index(name)])

@@ -41,7 +41,12 @@ from selfcal_ros.geometry.schur_complement import PointBlocks
 
 @dataclass(frozen=True)
 class _Seen:
-    """Points of all observations on their way into the image."""
+    """
+    Points of all observations on their way into the image.
+
+    Of arrays (N, ...) each number of all observations stands in a row in memory: sums and
+    products of contiguous numbers are the quick ones.
+    """
 
     residual: np.ndarray
     ahead: np.ndarray
@@ -65,10 +70,8 @@ class _Seen:
 
     def by_points(self, J: np.ndarray, state: SceneState, blocks: PointBlocks) -> np.ndarray:
         """Differentiate by small moves of the homogeneous points, (N, 2, 3)."""
-        # each component of all observations in a row: products of small matrices take longer
-        placing = rows_of(self.placing, np.arange(len(J)))
-        tangent = rows_of(state.tangents, blocks.point)
-        by_point = np.empty((len(J), 2, 3))
+        placing, tangent = self.placing, rows_of(state.tangents, blocks.point)
+        by_point = np.empty((3, 2, len(J))).transpose(2, 1, 0)
         for row in range(2):
             moved = [J[:, row, 0] * placing[:, 0, k] + J[:, row, 1] * placing[:, 1, k]
                      + J[:, row, 2] * placing[:, 2, k] for k in range(4)]
@@ -176,12 +179,15 @@ class SceneModel:
 
     def _seen(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> _Seen:
         path, view = state.path, blocks.view
-        Y = np.take(state.points, blocks.point, axis=0)
+        Y = rows_of(state.points, blocks.point)
         poses = np.concatenate([path.rotations(), path.translation[:, :, None]], axis=2)
-        placing = np.take(poses, view, axis=0)
-        turned = np.einsum('nij,nj->ni', placing[:, :, :3], Y[:, :3])
+        placing = rows_of(poses, view)
+        turned = np.empty((3, len(Y))).T
+        for k in range(3):
+            np.add(placing[:, k, 0] * Y[:, 0] + placing[:, k, 1] * Y[:, 1],
+                   placing[:, k, 2] * Y[:, 2], out=turned[:, k])
         placed = turned + placing[:, :, 3] * Y[:, 3:]
-        X = placed @ path.mount.T
+        X = (path.mount @ placed.T).T
         toward, sign = state.signs(X, blocks, xy)
         ahead = toward * sign > MINIMUM_DEPTH
         if not state.lens.model.is_perspective:
