@@ -169,10 +169,24 @@ def _followed(problem: SelfCalibrationProblem, first: list[Camera],
     """Follow one proposal by pairs of views, by affine images if motion is free, then others."""
     others = _proposals(problem, first)
     one = [next(others)]
-    yield from starts(problem, one)
+    yield from _first_followed(problem, one[0])
     if not problem.motion.keeps_plane and problem.flat is None and problem.pivot is None:
         yield from starts(problem, one, as_affine=True)
     yield from starts(problem, others)
+
+
+def _first_followed(problem: SelfCalibrationProblem, camera: Camera,
+                    ) -> list[tuple[SceneState, float]]:
+    """Follow a first proposal, once for who supposes a plane and who searches free motion."""
+    if problem.flat is not None or problem.pivot is not None:
+        return list(starts(problem, [camera]))
+    question = (starts, problem.motion, problem.facts, problem.bend, problem.noise_px,
+                camera.model, tuple(camera.parameters.tolist()))
+    remembered = problem.observations.remembered
+    if question not in remembered:
+        remembered[question] = list(starts(problem, [camera]))
+    found: list[tuple[SceneState, float]] = remembered[question]
+    return found
 
 
 def _proposals(problem: SelfCalibrationProblem, first: list[Camera]) -> Iterator[Camera]:
@@ -211,7 +225,8 @@ def _free_start(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
     if problem.flat is not None or problem.pivot is not None:
         return None, np.inf
     motion = replace(GENERAL.with_images_of(problem.motion), parallel=problem.motion.parallel)
-    free, noise_px = next(starts(replace(problem, motion=motion), proposals), (None, np.inf))
+    found = _first_followed(replace(problem, motion=motion), next(proposals))
+    free, noise_px = found[0] if found else (None, np.inf)
     if (free is None or not _is_plausible(free, problem.size)
             or noise_px > STILL_FREE * problem.noise_px):
         return None, np.inf

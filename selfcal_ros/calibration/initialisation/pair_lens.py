@@ -207,19 +207,23 @@ def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
     def left_px(coefficients: Sequence[float] | np.ndarray,
                 which: int | np.integer = bad[-1]) -> float:
         model = DivisionModel(tuple(coefficients), image_size)
-        count = max(2 * len(samples[which][0]) - 8, 1)
-        return float(np.sqrt(lifted_homography_cost(model, *samples[which]) / (4 * count)))
+        return float(PairLens(model).homography_px([samples[which]])[0])
+
+    def disagree(coefficients: Sequence[float] | np.ndarray, share: float) -> bool:
+        return any(left_px(coefficients, which) > share * left.max() for which in bad)
 
     start = min(LADDER, key=left_px)
-    if any(left_px(start, which) > _HOMOGRAPHY_HOPE * left.max() for which in bad):
+    if disagree(start, _HOMOGRAPHY_HOPE):
         return lens, left
     # loaded by the few that need it
     from scipy.optimize import minimize
     found = minimize(left_px, start, method='Nelder-Mead', options={
         'maxfev': 120, 'xatol': 1e-4, 'fatol': 1e-3 * noise_px,
         'initial_simplex': [start, (1.1 * start[0], start[1]), (start[0], 0.5 * start[1] - 0.01)]})
+    # every pair has to agree, the worst before the others: a lens is no excuse for parallax
+    if disagree(found.x, _HOMOGRAPHY_GAIN):
+        return lens, left
     other = PairLens(DivisionModel(tuple(found.x.tolist()), image_size), float(found.x[0]))
-    # every pair has to agree: a lens is no excuse for parallax
     left_by_other = other.homography_px(samples)
     gains = left_by_other.max() < _HOMOGRAPHY_GAIN * left.max()
     return (other, left_by_other) if gains else (lens, left)
