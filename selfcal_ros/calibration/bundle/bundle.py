@@ -32,7 +32,6 @@ from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIG
                                                         inverse_information, winsorised_square)
 from selfcal_ros.calibration.bundle.model import Linearisation, Model, Prediction
 from selfcal_ros.calibration.bundle.priors import Priors
-from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState, StateT
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.chain_inverse import ChainInverse
@@ -301,33 +300,34 @@ class Bundle(Generic[StateT]):
         Points intersected in closed form may be far off in the image, and a few of them would
         move the cameras in the joint adjustment.
         """
-        model = self.model
-        assert isinstance(model, SceneModel)
-
-        def equations(state: SceneState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Cost (P,), matrix (P, 3, 3) and gradient (P, 3) of every point."""
-            there = model.of_points(state, self.blocks, self.xy)
-            misfit = self._misfits(there)
+        def costs(misfit: np.ndarray) -> np.ndarray:
             loss = huber_loss(misfit, HUBER_SIGMAS)
-            weight = huber_weights(misfit, HUBER_SIGMAS) * there.ahead
-            cost = self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
-            return cost, *self.blocks.point_equations(there.eliminated, there.residual, weight)
+            return self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
+
+        def equations(seen: Prediction, misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            assert seen.by_points is not None
+            weight = huber_weights(misfit, HUBER_SIGMAS) * seen.ahead
+            return self.blocks.point_equations(seen.by_points(), seen.residual, weight)
 
         damping = np.full(self.blocks.point_count, 1e-3)
-        cost, H, b = equations(state)
-        for _ in range(iterations):
+        seen = self.predict(state)
+        misfit = self._misfits(seen)
+        cost, (H, b) = costs(misfit), equations(seen, misfit)
+        for left in reversed(range(iterations)):
             ridge = damping * np.einsum('pii->p', H) + 1e-300
             step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b[..., None])[..., 0]
             moved = self.moved(state, np.zeros(len(self.unknowns)), step)
-            new_cost, *new = equations(moved)
+            seen = self.predict(moved)
+            misfit = self._misfits(seen)
+            new_cost = costs(misfit)
             better = new_cost < cost
             damping *= np.where(better, 0.1, 10.0)
             state = replace(state, points=np.where(better[:, None], moved.points, state.points))
-            H[better], b[better] = new[0][better], new[1][better]
-            settled = np.abs(cost - new_cost) < SETTLED
-            cost = np.minimum(cost, new_cost)
-            if settled.all():
+            if not left or (np.abs(cost - new_cost) < SETTLED).all():
                 break
+            cost = np.minimum(cost, new_cost)
+            new = equations(seen, misfit)
+            H[better], b[better] = new[0][better], new[1][better]
         return state
 
     # ------------------------------------------------------------------ noise
@@ -339,7 +339,10 @@ class Bundle(Generic[StateT]):
         Huber's proposal 2: the winsorised sum of squares, consistent for Gaussian noise. NaN
         without degrees of freedom.
         """
-        distance = np.linalg.norm(self.residuals(state), axis=1)
+        return self.noise_sigma_of(lengths(self.residuals(state)))
+
+    def noise_sigma_of(self, distance: np.ndarray) -> float:
+        """Do as `noise_sigma` with the lengths (N,) of `residuals`."""
         distance = distance[np.isfinite(distance)]
         freedom, dimension = self.degrees_of_freedom, self.model.dimension
         if freedom <= 0 or not len(distance):

@@ -75,12 +75,15 @@ class Prediction:
     ahead : ndarray of bool, shape (N,)
     differentiated : callable
         (Unknowns) -> Linearisation; derivatives by fixed ones may be left at zero.
+    by_points : callable, optional
+        () -> derivatives (N, m, p) by the points alone, where those are eliminated.
 
     """
 
     residual: np.ndarray
     ahead: np.ndarray
     differentiated: Callable[[Unknowns], Linearisation]
+    by_points: Callable[[], np.ndarray] | None = None
 
 
 class Model(Protocol[StateT]):

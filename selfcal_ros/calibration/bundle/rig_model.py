@@ -142,7 +142,9 @@ class RigModel(SceneModel):
         at = self._place(state, blocks, xy)
         residual = at.seen.uv - xy
         return Prediction(residual, at.seen.ahead,
-                          partial(self._of_rig, state, blocks, at, residual))
+                          partial(self._of_rig, state, blocks, at, residual),
+                          lambda: self._by_points(state, blocks, at,
+                                                  self._by_rig(state.lens, at.seen)))
 
     def _of_rig(self, state: RigState, blocks: PointBlocks, at: _Placed, residual: np.ndarray,
                 unknowns: Unknowns) -> Linearisation:
@@ -156,14 +158,6 @@ class RigModel(SceneModel):
         own = path.by_views(J, at.turned, weight, view, unknowns.view_names)
         return Linearisation(residual, at.seen.ahead, shared, own,
                              self._by_points(state, blocks, at, by_rig))
-
-    def of_points(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Linearisation:
-        """Project every observation, and differentiate by the points alone."""
-        assert isinstance(state, RigState)
-        at = self._place(state, blocks, xy)
-        by_points = self._by_points(state, blocks, at, self._by_rig(state.lens, at.seen))
-        none = by_points[:, :, :0]
-        return Linearisation(at.seen.uv - xy, at.seen.ahead, none, none, by_points)
 
     def _place(self, state: RigState, blocks: PointBlocks, xy: np.ndarray) -> _Placed:
         """Carry the points of observations to the rig, and look at them."""

@@ -339,10 +339,10 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         iterations, tolerance = ((12, SHARE_OF_COST * bundle.cost(state)) if k == 0
                                  else (3, TO_GO_ON))
         state = bundle.optimise(state, iterations, tolerance)
-        estimate = bundle.noise_sigma(state)
+        distance = lengths(bundle.residuals(state))
+        estimate = bundle.noise_sigma_of(distance)
         if not np.isfinite(estimate):
             break
-        distance = np.linalg.norm(bundle.residuals(state), axis=1)
         keep = distance < OUTLIER_SIGMAS * estimate      # NaN, behind the camera: not kept
         # what a bad start leaves is no noise that could hide depths
         shown = _with_directions(bundle.with_sigma(min(estimate, supposed_px)), state,

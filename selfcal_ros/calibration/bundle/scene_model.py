@@ -150,7 +150,8 @@ class SceneModel:
         """
         seen = self._seen(state, blocks, xy)
         return Prediction(seen.residual, seen.ahead,
-                          partial(self._differentiated, state, blocks, seen))
+                          partial(self._differentiated, state, blocks, seen),
+                          lambda: seen.by_points(seen.by_placed(state), state, blocks))
 
     def _differentiated(self, state: SceneState, blocks: PointBlocks, seen: _Seen,
                         unknowns: Unknowns) -> Linearisation:
@@ -169,13 +170,6 @@ class SceneModel:
             own = differentiate(seen.pixels, self.motion.zoom, view, shared, own)
         return Linearisation(seen.residual, seen.ahead, shared, own,
                              seen.by_points(J, state, blocks))
-
-    def of_points(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Linearisation:
-        """Project every observation, and differentiate by the points alone."""
-        seen = self._seen(state, blocks, xy)
-        by_points = seen.by_points(seen.by_placed(state), state, blocks)
-        none = by_points[:, :, :0]
-        return Linearisation(seen.residual, seen.ahead, none, none, by_points)
 
     def _seen(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> _Seen:
         path, view = state.path, blocks.view
