@@ -239,9 +239,9 @@ def residuals(xy_a: np.ndarray, xy_b: np.ndarray, F: np.ndarray, coefficients: n
     # gradient of half the squared norm by the line of either side
     share_a = np.concatenate([slope_a, _dot(slope_a, bend_a)[..., None]], axis=-1)
     share_b = np.concatenate([slope_b, _dot(slope_b, bend_b)[..., None]], axis=-1)
-    shrink = (distance / norm ** 2)[..., None, None]
-    by_F = b[..., :, None] * (a / norm[..., None])[..., None, :] - shrink * (
-        b[..., :, None] * share_a[..., None, :] + share_b[..., :, None] * a[..., None, :])
+    shrink = distance / norm ** 2
+    by_F = np.einsum('...i,...j->...ij', b, a / norm[..., None] - shrink[..., None] * share_a)
+    by_F -= np.einsum('...i,...j->...ij', shrink[..., None] * share_b, a)
     square_a, square_b = _dot(xy_a, xy_a), _dot(xy_b, xy_b)
     by_coefficient = np.empty((*distance.shape, len(coefficients)))
     for k in range(len(coefficients)):
@@ -251,7 +251,7 @@ def residuals(xy_a: np.ndarray, xy_b: np.ndarray, F: np.ndarray, coefficients: n
         turn_a += w_b * _dot(share_a, F[:, None, 2, :])
         turn_b += w_a * _dot(share_b, F[:, None, :, 2])
         by_coefficient[..., k] = ((line_a[..., 2] * w_a + line_b[..., 2] * w_b) / norm
-                                  - shrink[..., 0, 0] * (turn_a + turn_b))
+                                  - shrink * (turn_a + turn_b))
     return distance, by_F.reshape(*distance.shape, 9), by_coefficient
 
 

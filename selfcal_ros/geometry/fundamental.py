@@ -157,7 +157,7 @@ def pair_residuals(data: PairMatches, F: np.ndarray, derivative: bool = False,
     """
     a, b = data.first, data.second
     line_b, line_a = a @ np.swapaxes(F, 1, 2), b @ F
-    product = (line_b * b).sum(axis=-1)
+    product = np.einsum('nmk,nmk->nm', line_b, b)
     tiny = 1e-300
     norm_b = np.sqrt(line_b[..., 0] ** 2 + line_b[..., 1] ** 2) + tiny
     norm_a = np.sqrt(line_a[..., 0] ** 2 + line_a[..., 1] ** 2) + tiny
@@ -165,14 +165,13 @@ def pair_residuals(data: PairMatches, F: np.ndarray, derivative: bool = False,
     residuals = np.stack([product / norm_b * pixel, product / norm_a * pixel], axis=-1)
     if not derivative:
         return residuals
-    bilinear = b[..., :, None] * a[..., None, :]
+    # both are outer products: a line turns about its point
+    turned_b, turned_a = b * (pixel / norm_b)[..., None], a * (pixel / norm_a)[..., None]
+    turned_b[..., :2] -= (residuals[..., 0] / norm_b ** 2)[..., None] * line_b[..., :2]
+    turned_a[..., :2] -= (residuals[..., 1] / norm_a ** 2)[..., None] * line_a[..., :2]
     slope = np.empty((*a.shape[:2], 2, 3, 3))
-    slope[:, :, 0] = bilinear * (pixel / norm_b)[..., None, None]
-    slope[:, :, 1] = bilinear * (pixel / norm_a)[..., None, None]
-    turn_b = (residuals[..., 0] / norm_b ** 2)[..., None] * line_b[..., :2]
-    turn_a = (residuals[..., 1] / norm_a ** 2)[..., None] * line_a[..., :2]
-    slope[:, :, 0, :2, :] -= turn_b[..., :, None] * a[..., None, :]
-    slope[:, :, 1, :, :2] -= b[..., :, None] * turn_a[..., None, :]
+    np.einsum('nmi,nmj->nmij', turned_b, a, out=slope[:, :, 0])
+    np.einsum('nmi,nmj->nmij', b, turned_a, out=slope[:, :, 1])
     return residuals, slope.reshape(*a.shape[:2], 2, 9)
 
 

@@ -192,12 +192,14 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0, copies:
     quiet = chi2_sf(square / spread, np.maximum(freedom, 1)) > CHANCE
     tested = length >= VERIFYING_VIEWS
     explained = tested & quiet & (left >= VERIFYING_VIEWS)
+    # there are far fewer lengths than tracks
+    lengths, of_track = np.unique(length, return_inverse=True)
     for _ in range(3):
         usual = explained & (lost <= MOSTLY * length)
         share = (lost[usual].sum() + 1) / (length[usual].sum() + 1)
         # so many are lost of a track of this length by chance
-        most = copies * np.ceil(bdtrik(1 - 1e-3, length / copies, min(share, 0.9)))
-        explained &= lost <= np.maximum(most, copies)
+        most = copies * np.ceil(bdtrik(1 - 1e-3, lengths / copies, min(share, 0.9)))
+        explained &= lost <= np.maximum(most, copies)[of_track]
     return TrackTest(length, lost, square, explained, tested, agrees)
 
 
