@@ -231,6 +231,8 @@ def test_a_rig_needs_two_cameras_and_a_length():
         calibrate_rig({'left': scene.tracks['left']})
     with pytest.raises(ArgumentError, match='length'):
         calibrate_rig(scene.tracks, baseline=(0.0, 0.1))
+    with pytest.raises(ArgumentError, match='left and right have the same images'):
+        calibrate_rig(dict.fromkeys(RIG_CAMERAS, scene.tracks['left']))
     nothing = NotCalibrated.of(NoEstimate('no_parallax', parallax_ratio=1.0))
     refused = calibrate_rig(scene.tracks, facts=FACTS, alone=dict.fromkeys(RIG_CAMERAS, nothing))
     assert not refused and refused.kind == 'rig_cameras_refused' and 'left' in str(refused)

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import combinations
 import logging
 
 import numpy as np
@@ -98,8 +99,8 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     Raises
     ------
     ArgumentError
-        If there are fewer than two cameras, the baseline is no length, or a calibration in
-        `alone` is of images that the tracks lack.
+        If there are fewer than two cameras, two have the same observations, the baseline is no
+        length, or a calibration in `alone` is of images that the tracks lack.
 
     References
     ----------
@@ -127,6 +128,10 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     if baseline is not None and not (0 < baseline[0] < np.inf and 0 <= baseline[1] < np.inf):
         raise ArgumentError('The baseline must be a length in metres above zero, with a sigma; '
                             f'got {baseline[0]:g} and {baseline[1]:g}.')
+    for one, other in combinations(tracks, 2):
+        if _are_equal(tracks[one], tracks[other]):
+            raise ArgumentError(f'Cameras {one} and {other} have the same images; give each '
+                                'camera its own.')
     of_camera = _facts_by_name(tracks, facts)
     single, known = dict(alone or {}), {}
     for name, one in tracks.items():
@@ -156,6 +161,12 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     return NotCalibrated.of(result, frames=np.unique(np.concatenate(
         [one.frames for one in tracks.values()])), facts=next(iter(of_camera.values())),
         software=SOFTWARE)
+
+
+def _are_equal(one: Tracks, other: Tracks) -> bool:
+    """Tell whether two cameras saw exactly the same, as only the same images show it."""
+    return len(one) > 0 and np.array_equal(one.frame, other.frame) and np.array_equal(
+        one.xy, other.xy)
 
 
 def _tell(progress: Callable[[str, int, int | None], object] | None, text: str) -> None:
