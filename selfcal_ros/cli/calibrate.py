@@ -87,7 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              '(columns point,X,Y,Z) for an INPUT of tracks')
     parser.add_argument('--flatness', type=float, metavar='SIGMA_M',
                         help='with --object: how far the board may bend, as a standard deviation '
-                             'in metres, 0 for not at all (default: its bend is estimated)')
+                             'in metres, 0 for an exactly flat one with an exact print (default: '
+                             'bend and print are estimated)')
     parser.add_argument('--track', action='store_true',
                         help='follow an object of known shape (--model, --init) through the '
                              'images, and calibrate from its edges')

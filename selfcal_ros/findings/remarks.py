@@ -344,6 +344,12 @@ REMARKS: dict[str, Phrase] = {
         'The images show no bend of the board: {limit_mm:.2g} mm would have shown.',
         'The board was free to bend in the estimate, and is flat as far as the images tell.',
         'Nothing.'),
+    'board_print_off': Phrase(
+        'The pattern of the board is longer along than across by {stretch_percent:measured} %, '
+        'and leans by {lean_deg:measured} degrees, which was estimated too.',
+        'Printers feed paper by their own measure, and screens have pixels that are not square. '
+        'Supposed exact, such a pattern moves the camera.',
+        'Nothing is wrong with the result. Measure the pattern both ways, and state its points.'),
     'object_misfits_frames': Phrase(
         'The object does not fit what was seen of it in {frames:frames}, left out.',
         'After the adjustment too few points of these views agree with the rest.',

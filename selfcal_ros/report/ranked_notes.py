@@ -43,10 +43,10 @@ _DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_trusted', 'fact_unchec
 _WIDER = ('fact_unsure', 'errors_within_track', 'errors_within_region', 'errors_within_segment',
           'errors_at_object_points', 'errors_within_edge', 'regions_beyond_lens', 'lens_deviates',
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
-          'lever_not_excluded', 'circular_motion', 'not_exactly_planar', 'not_exactly_rotation',
-          'frames_turned_estimated', 'rolling_shutter', 'rolling_shutter_unstamped',
-          'rolling_shutter_stated', 'rows_by_view', 'object_moves_in_rows', 'tracks_moving',
-          'motion_suggestion', 'motion_needed')
+          'lever_not_excluded', 'board_print_off', 'circular_motion', 'not_exactly_planar',
+          'not_exactly_rotation', 'frames_turned_estimated', 'rolling_shutter',
+          'rolling_shutter_unstamped', 'rolling_shutter_stated', 'rows_by_view',
+          'object_moves_in_rows', 'tracks_moving', 'motion_suggestion', 'motion_needed')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_far_apart', 'frames_thinned', 'division_model',
          'tracks_contradictory', 'positions_surplus', 'positions_unregistered',

@@ -11,6 +11,8 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.object_bend import bend_modes
@@ -34,9 +36,9 @@ def a4():
     return KnownObject(np.arange(54), 0.027 * points)
 
 
-def views(bow_m, seed, count=12):
+def views(bow_m, seed, count=12, board=None):
     """Tracks of the sheet, bent like a roof gutter, in views that show it whole."""
-    rng, board = np.random.default_rng(seed), a4()
+    rng, board = np.random.default_rng(seed), board or a4()
     middle = board.points.mean(axis=0)
     height = -np.cos(np.pi * (board.points[:, 0] - middle[0]) / 0.216)
     bent = board.points - middle + bow_m * height[:, None] * [0, 0, 1]
@@ -87,6 +89,24 @@ def test_no_bend_is_told_of_a_flat_board_and_hardly_any_certainty_lost(seed):
     assert not any(one.kind.startswith('board') for one in flat.findings)
 
 
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_print_that_is_not_to_scale_is_told_and_does_not_move_the_camera(seed):
+    # 0.3 % longer along, and 0.2 degrees from upright; in silence before, and 5 sigmas off
+    true = a4()
+    P = true.points.copy()
+    P[:, 0] += 0.003 * P[:, 0] + np.deg2rad(0.2) * P[:, 1]
+    tracks = views(0.0, seed, board=replace(true, points=P))
+    result = calibrate_known_object(tracks, true, facts=NO_SKEW)
+    told = next(one for one in result.findings if one.kind == 'board_print_off').values
+    for name, truth in (('stretch_percent', 0.3), ('lean_deg', 0.2)):
+        assert abs(told[name]['value'] - truth) < 3.5 * told[name]['sigma'] < 0.1
+    assert off_in_sigmas(result) < 3
+    assert off_in_sigmas(calibrate_known_object(tracks, true, facts=NO_SKEW, flatness=0)) > 3
+    # a true one is not called wrong
+    right = calibrate_known_object(views(0.0, seed), true, facts=NO_SKEW)
+    assert 'board_print_off' not in [one.kind for one in right.findings]
+
+
 def test_a_stated_flatness_is_a_measurement():
     tracks = views(0.6e-3, 0, count=4)
     free, stiff = (calibrate_known_object(tracks, a4(), facts=NO_SKEW, flatness=sigma)
@@ -101,4 +121,6 @@ def test_a_solid_does_not_bend():
     assert bend_modes(points * [1, 0, 0]) is None
     assert bend_modes(points[:4] * [1, 1, 0]) is None
     modes, normal = bend_modes(points * [1, 1, 0])
-    assert normal == pytest.approx([0, 0, 1]) and np.ptp(modes, axis=0) == pytest.approx(1)
+    assert normal == pytest.approx([0, 0, 1])
+    assert np.ptp(modes[:, :3] @ normal, axis=0) == pytest.approx(1)
+    assert (modes[:, 3:] @ normal == 0).all()

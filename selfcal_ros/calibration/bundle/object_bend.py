@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The shape block of a board that is not flat: the offsets of its points from their plane.
+The shape block of a board that is not as it was stated: not flat, or not printed to scale.
 
 A plate that was bent, by its fixing, its weight or the damp, is to first order a surface of second
-degree. What is linear in it is a turn of the board, and belongs to the poses.
+degree. What is linear in it is a turn of the board, and belongs to the poses. A printer feeds
+paper by its own measure, so that a pattern is longer one way than the other, and may lean.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ import numpy as np
 
 #: Heights off the plane: of a bow along, of a twist, and of a bow across.
 BEND_NAMES = ('bow_x', 'twist', 'bow_y')
+#: Share by which the pattern is longer along than across, and the angle, radians, by which it
+#: leans.
+PRINT_NAMES = ('stretch', 'lean')
+SHAPE_NAMES = (*BEND_NAMES, *PRINT_NAMES)
 
 
 @dataclass(frozen=True)
@@ -35,29 +40,26 @@ class Bend:
 
     Attributes
     ----------
-    modes : ndarray, shape (N, 3)
-        Height of the observed points by the unknowns `BEND_NAMES`.
-    normal : ndarray, shape (3,)
-        Along which the heights are, in the object's frame.
-    sigma : float
-        What is supposed of each unknown, in the unit of the object.
+    modes : ndarray, shape (N, 5, 3)
+        How the observed points move by the unknowns `SHAPE_NAMES`, in the object's frame.
+    sigma : ndarray, shape (5,)
+        What is supposed of each unknown: lengths in the unit of the object, a share, an angle.
 
     """
 
     modes: np.ndarray
-    normal: np.ndarray
-    sigma: float
+    sigma: np.ndarray
 
     def off(self, bend: np.ndarray) -> np.ndarray:
-        """Return how far the points stand off the plane, (N, 3)."""
-        away: np.ndarray = (self.modes @ bend)[:, None] * self.normal
+        """Return how far the points are from where they were stated, (N, 3)."""
+        away: np.ndarray = np.einsum('nki,k->ni', self.modes, bend)
         return away
 
 
 def bend_modes(points: np.ndarray, thickness: float = 1e-6,
                ) -> tuple[np.ndarray, np.ndarray] | None:
     """
-    Describe how a plane object may bend.
+    Describe how a plane object may bend, and its pattern be off.
 
     Parameters
     ----------
@@ -67,11 +69,12 @@ def bend_modes(points: np.ndarray, thickness: float = 1e-6,
 
     Returns
     -------
-    modes : ndarray, shape (P, 3)
-        Heights of all points by `BEND_NAMES`. Each mode spans one unit of height over the
-        points, so that the unknowns are lengths.
+    modes : ndarray, shape (P, 5, 3)
+        How all points move by `SHAPE_NAMES`. Each bend spans one unit of height over the points,
+        so that these unknowns are lengths.
     normal : ndarray, shape (3,)
-        None in place of both for a solid, and where the points do not show a bend.
+        Along which the heights are, in the object's frame. None in place of both for a solid, and
+        where the points do not show a bend.
 
     """
     centred = points - points.mean(axis=0)
@@ -84,12 +87,16 @@ def bend_modes(points: np.ndarray, thickness: float = 1e-6,
     along = np.eye(3)[np.argmin(np.abs(normal))]
     along = along - normal * (along @ normal)
     along /= np.linalg.norm(along)
-    u, v = centred @ along, centred @ np.cross(normal, along)
-    modes = np.column_stack([u**2, u * v, v**2])
+    across = np.cross(normal, along)
+    u, v = centred @ along, centred @ across
+    heights = np.column_stack([u**2, u * v, v**2])
     # a pose takes what is linear in them
     plane = np.column_stack([np.ones(len(points)), u, v])
-    modes -= plane @ np.linalg.lstsq(plane, modes, rcond=None)[0]
-    span = np.ptp(modes, axis=0)
+    heights -= plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
+    span = np.ptp(heights, axis=0)
     if not (span > 1e-9 * extent[0]**2).all():
         return None
-    return modes / span, normal
+    # half of each either way: the size, and a turn, are the pose's
+    printed = 0.5 * np.stack([np.outer(u, along) - np.outer(v, across),
+                              np.outer(v, along) + np.outer(u, across)], axis=1)
+    return np.concatenate([(heights / span)[..., None] * normal, printed], axis=1), normal

@@ -29,7 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.edge_rows import EdgeRows
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
-from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
+from selfcal_ros.calibration.bundle.object_bend import Bend, SHAPE_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.object_rows import MovedPoints, ObjectRows
 from selfcal_ros.calibration.bundle.own_rows import ROW_NAMES
@@ -95,7 +95,7 @@ class KnownPoints(_PoseElimination):
     points : ndarray, shape (N, 3)
         In the object's frame.
     bend : Bend, optional
-        How a board may bend; its points are held where they are without.
+        How a board may bend, and its print be off; its points are held where they are without.
     rows : ObjectRows, optional
         How the object may move while each image is read; all lines are read at once without.
 
@@ -109,7 +109,7 @@ class KnownPoints(_PoseElimination):
 
     def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains once the poses are eliminated: lens, bend and motions."""
-        shared = () if self.bend is None else BEND_NAMES
+        shared = () if self.bend is None else SHAPE_NAMES
         if self.rows is None:
             return Unknowns.all_free(lens_names, shared)
         return self.rows.effects.extend(Unknowns.all_free(lens_names, shared, (), views))
@@ -123,7 +123,7 @@ class KnownPoints(_PoseElimination):
                 state.row_motion, step, unknowns))
         if self.bend is None:
             return state
-        return replace(state, bend=state.bend + step[unknowns.places(BEND_NAMES)])
+        return replace(state, bend=state.bend + step[unknowns.places(SHAPE_NAMES)])
 
     def prior_terms(self, state: ObjectState, unknowns: Unknowns) -> PriorTerms:
         """Return cost, gradient (n,) and diagonal (n,) of what is supposed beside the poses."""
@@ -133,10 +133,10 @@ class KnownPoints(_PoseElimination):
                 terms, state.row_motion, unknowns)
         if self.bend is None:
             return cost, gradient, diagonal
-        place, weight = unknowns.places(BEND_NAMES), 1 / self.bend.sigma**2
+        place, weight = unknowns.places(SHAPE_NAMES), 1 / self.bend.sigma**2
         gradient[place] = weight * state.bend
         diagonal[place] = weight
-        return cost + 0.5 * weight * float(state.bend @ state.bend), gradient, diagonal
+        return cost + 0.5 * float(weight @ state.bend**2), gradient, diagonal
 
     def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return what motions about a common mean add beside the diagonal."""
@@ -144,7 +144,7 @@ class KnownPoints(_PoseElimination):
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
-        return ((0 if self.bend is None else len(BEND_NAMES))
+        return ((0 if self.bend is None else len(SHAPE_NAMES))
                 + (0 if self.rows is None else self.rows.effects.count(views)))
 
     def predict(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
@@ -172,10 +172,9 @@ class KnownPoints(_PoseElimination):
                 J = J @ moved.R
             shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
             if self.bend is not None:
-                normal = state.path.cam_from_object[:, :, :3] @ self.bend.normal
-                along = np.einsum('nij,nj->ni', J, normal[blocks.view])
-                shared[:, :, unknowns.places(BEND_NAMES)] = (
-                    along[:, :, None] * self.bend.modes[:, None])
+                by_object = J @ state.path.cam_from_object[blocks.view, :, :3]
+                shared[:, :, unknowns.places(SHAPE_NAMES)] = (
+                    by_object @ self.bend.modes.transpose(0, 2, 1))
             by_steps = ObjectPoses.by_steps(J, turned)
             by_steps[:, :, 3:] = by_place
             return Linearisation(residual, ahead, shared, own, by_steps)

@@ -22,6 +22,7 @@ from typing import TypeVar
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.object_bend import SHAPE_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.zoom import Zoom
@@ -161,8 +162,8 @@ class ObjectState(BundleState):
     Attributes
     ----------
     path : ObjectPoses
-    bend : ndarray, shape (3,)
-        Of a board that need not be flat; see `BEND_NAMES`.
+    bend : ndarray, shape (5,)
+        Of a board that need not be flat, nor printed to scale; see `SHAPE_NAMES`.
     row_motion : ndarray, shape (V, 6), optional
         How the object moved while each image was read; see `ObjectRows`.
     line_delay_s : float
@@ -171,7 +172,7 @@ class ObjectState(BundleState):
     """
 
     path: ObjectPoses
-    bend: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(len(SHAPE_NAMES)))
     row_motion: np.ndarray | None = None
     line_delay_s: float = 0.0
 

@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Is the board flat? Its bend is estimated with the camera, and told where the images show one.
+Is the board flat, and printed to scale? Its shape is estimated with the camera, and told.
 
-A board that bends by a fifth of a percent of its length moves the focal length by as much. No
-residual tells: the lens takes up what it can. Tilted views from several sides do tell.
+A board that bends by a fifth of a percent of its length moves the focal length by as much. So does
+a print that is longer one way than the other. No residual tells: the lens takes up what it can.
+Tilted views from several sides do tell.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.object_bend import Bend, bend_modes, BEND_NAMES
+from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES, bend_modes, SHAPE_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_views import ObjectViews
 from selfcal_ros.calibration.uncertainty.cluster_covariance import ClusterCovariance
@@ -34,29 +35,34 @@ from selfcal_ros.findings.finding import Finding
 
 #: What is supposed of a board whose flatness nobody stated, as a share of its extent.
 USUAL_FLATNESS = 0.03
-#: A bend is told where chance would show one in fewer boards than this.
+#: What is supposed of a print: the share by which it is longer one way, and the angle by which it
+#: leans, radians.
+USUAL_PRINT = 0.005
+#: A bend, or a print that is off, is told where chance would show one in fewer boards than this.
 CHANCE = 1e-4
 #: Millimetres in a metre: objects are in metres.
 _MM = 1e3
+#: Where the unknowns of the bend stand, and those of the print.
+_BEND, _PRINT = slice(0, len(BEND_NAMES)), slice(len(BEND_NAMES), len(SHAPE_NAMES))
 
 
 @dataclass(frozen=True)
 class BoardShape:
     """
-    How a board bends, with the covariance of that.
+    How a board bends and is printed, with the covariance of that.
 
     Attributes
     ----------
-    bend : ndarray, shape (3,)
-        By `BEND_NAMES`, in the unit of the object.
-    covariance : ndarray, shape (3, 3)
-    modes : ndarray, shape (P, 3)
-        Heights of the object's points by the unknowns.
+    shape : ndarray, shape (5,)
+        By `SHAPE_NAMES`, lengths in the unit of the object.
+    covariance : ndarray, shape (5, 5)
+    modes : ndarray, shape (P, 5, 3)
+        How the object's points move by the unknowns.
     normal : ndarray, shape (3,)
 
     """
 
-    bend: np.ndarray
+    shape: np.ndarray
     covariance: np.ndarray
     modes: np.ndarray
     normal: np.ndarray
@@ -83,39 +89,52 @@ class BoardShape:
         BoardShape
 
         """
-        found, place = bend_modes(points), bundle.unknowns.places(BEND_NAMES)
+        found, place = bend_modes(points), bundle.unknowns.places(SHAPE_NAMES)
         assert found is not None     # it has been free to bend
-        return cls(extent * state.bend, extent**2 * clusters.covariance[np.ix_(place, place)],
-                   *found)
+        modes, normal = found
+        unit = np.ones(len(SHAPE_NAMES))
+        unit[_BEND] = extent
+        modes[:, _PRINT] *= extent
+        return cls(unit * state.bend, np.outer(unit, unit) * clusters.covariance[
+            np.ix_(place, place)], modes, normal)
 
     @property
     def off(self) -> np.ndarray:
-        """How far the object's points stand off the plane, (P, 3)."""
-        away: np.ndarray = (self.modes @ self.bend)[:, None] * self.normal
+        """How far the object's points are from where they were stated, (P, 3)."""
+        away: np.ndarray = np.einsum('pki,k->pi', self.modes, self.shape)
         return away
 
-    @property
-    def is_bent(self) -> bool:
-        """Tell whether chance hardly shows such a bend."""
-        square = self.bend @ np.linalg.solve(self.covariance, self.bend)
-        return bool(chdtrc(len(self.bend), square) < CHANCE)
+    def _shows(self, which: slice) -> bool:
+        """Tell whether chance hardly shows what some of the unknowns are."""
+        found = self.shape[which]
+        square = found @ np.linalg.solve(self.covariance[which, which], found)
+        return bool(chdtrc(len(found), square) < CHANCE)
 
-    def finding(self) -> Finding:
-        """Tell how much the board bends, or how flat it is."""
-        height = self.modes @ self.bend
-        slope = self.modes[np.argmax(height)] - self.modes[np.argmin(height)]
-        sigma = float(np.sqrt(slope @ self.covariance @ slope))
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell how much the board bends, or how flat it is, and a print that is not to scale."""
+        heights, bend = self.modes[:, _BEND] @ self.normal, self.shape[_BEND]
+        covariance, is_bent = self.covariance[_BEND, _BEND], self._shows(_BEND)
+        height = heights @ bend
+        slope = heights[np.argmax(height)] - heights[np.argmin(height)]
+        sigma = float(np.sqrt(slope @ covariance @ slope))
         told = {'bend_mm': {'value': _MM * float(np.ptp(height)), 'sigma': _MM * sigma}}
-        if not self.is_bent:
-            told['limit_mm'] = _MM * sigma * np.sqrt(chdtri(len(self.bend), CHANCE))
-        return Finding('board_bent' if self.is_bent else 'board_flat', **told,
-                       unknowns_m=self.bend.tolist(),
-                       sigmas_m=np.sqrt(np.diag(self.covariance)).tolist())
+        if not is_bent:
+            told['limit_mm'] = _MM * sigma * np.sqrt(chdtri(len(bend), CHANCE))
+        bent = Finding('board_bent' if is_bent else 'board_flat', **told, unknowns_m=bend.tolist(),
+                       sigmas_m=np.sqrt(np.diag(covariance)).tolist())
+        if not self._shows(_PRINT):
+            return (bent,)
+        stretch, lean = (
+            {'value': float(value), 'sigma': float(spread)} for value, spread in zip(
+                self.shape[_PRINT], np.sqrt(np.diag(self.covariance)[_PRINT])))
+        return bent, Finding('board_print_off', stretch_percent={
+            name: 100 * value for name, value in stretch.items()}, lean_deg={
+                name: float(np.degrees(value)) for name, value in lean.items()})
 
 
 def may_bend(views: ObjectViews, points: np.ndarray, sigma: float) -> ObjectViews | None:
     """
-    Let the board of some views bend.
+    Let the board of some views bend, and be printed not quite to scale.
 
     Parameters
     ----------
@@ -134,5 +153,6 @@ def may_bend(views: ObjectViews, points: np.ndarray, sigma: float) -> ObjectView
     found = bend_modes(points)
     if found is None or len(views.frames) < 2:
         return None
-    modes, normal = found
-    return replace(views, bend=Bend(modes[views.point], normal, sigma))
+    supposed = np.full(len(SHAPE_NAMES), USUAL_PRINT)
+    supposed[_BEND] = sigma
+    return replace(views, bend=Bend(found[0][views.point], supposed))

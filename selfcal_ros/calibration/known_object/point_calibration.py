@@ -98,14 +98,15 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
         that the data determine. Shutter 'rolling', or a line delay, whose value is not
         used: the object may move while an image is read.
     flatness : float, optional
-        Standard deviation of the bend of a plane object, in its unit; 0 for an exactly flat one.
-        By default the bend is estimated with hardly anything supposed of it.
+        Standard deviation of the bend of a plane object, in its unit. By default the bend is
+        estimated with hardly anything supposed of it, and so is a print that is not to scale.
+        0 for an exactly flat object that is exactly as stated.
 
     Returns
     -------
     Calibration or NotCalibrated
-        Motion 'known-object'; the reconstruction holds the object's points, bent as it is, and
-        the pose of the object in every camera (units of the object).
+        Motion 'known-object'; the reconstruction holds the object's points, where they are on
+        it, and the pose of the object in every camera (units of the object).
 
     References
     ----------
@@ -190,7 +191,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if bent is not None:
         shape = BoardShape.of(bundle, state, clusters, scaled.points, extent)
         points[:, :3] += shape.off
-        findings += (shape.finding(),)
+        findings += shape.findings()
     findings += motion_findings(bundle, state)
     rejected = len(views.view) - len(used.view)
     return Calibration(
@@ -264,7 +265,7 @@ def _moving_fit(views: ObjectViews, fit: _Fitted, points: np.ndarray, size: tupl
     offered = views.select(np.isin(views.frames, fit.views.frames)[views.view])
     bend = fit.views.bend
     if bend is not None:
-        offered = may_bend(offered, points, bend.sigma) or offered
+        offered = may_bend(offered, points, bend.sigma[0]) or offered
     found = moving_fit(offered, (fit.views, fit.bundle, fit.state), size,
                        lambda moving, state: _robust_fit(moving, state, fit.facts))
     if found is None:

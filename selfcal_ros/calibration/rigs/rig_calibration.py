@@ -99,8 +99,8 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     Raises
     ------
     ArgumentError
-        If there are fewer than two cameras, two have the same observations, the baseline is no
-        length, or a calibration in `alone` is of images that the tracks lack.
+        If there are fewer than two cameras, or two have the same observations. If the baseline is
+        no length, or a calibration in `alone` is of images that the tracks lack.
 
     References
     ----------
@@ -128,9 +128,9 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     if baseline is not None and not (0 < baseline[0] < np.inf and 0 <= baseline[1] < np.inf):
         raise ArgumentError('The baseline must be a length in metres above zero, with a sigma; '
                             f'got {baseline[0]:g} and {baseline[1]:g}.')
-    for one, other in combinations(tracks, 2):
-        if _are_equal(tracks[one], tracks[other]):
-            raise ArgumentError(f'Cameras {one} and {other} have the same images; give each '
+    for first, second in combinations(tracks, 2):
+        if _are_equal(tracks[first], tracks[second]):
+            raise ArgumentError(f'Cameras {first} and {second} have the same images; give each '
                                 'camera its own.')
     of_camera = _facts_by_name(tracks, facts)
     single, known = dict(alone or {}), {}
