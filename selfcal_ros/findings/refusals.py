@@ -251,8 +251,8 @@ REFUSALS: dict[str, Phrase] = {
         'The images contradict the stated {fact} by {sigmas:.0f} sigmas: they prefer '
         '{preferred:preferred}.',
         'Released, the fact comes out elsewhere, beyond chance, and the camera with it. Either '
-        'the fact is wrong, or the tracks are. Of fewer than six images it may be a rolling '
-        'shutter, which is not asked for then.',
+        'the fact is wrong, or the tracks are. Of fewer than six images, and before a board, it '
+        'may be a rolling shutter, which is not asked for then.',
         'Release it (--aspect-ratio free, --skew free, --lens auto, --shutter auto, no '
         '--principal-point), or state it with a sigma; where the fact is certain, say '
         '--trust-facts.'),

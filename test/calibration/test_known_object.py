@@ -188,6 +188,29 @@ def test_facts_are_measurements():
     assert soft.camera.K[0, 2] == pytest.approx(340, abs=0.1)
 
 
+@pytest.mark.parametrize('true, stated, fact, name', [
+    ((525, 2.0, 0.0), {'aspect_ratio': 1.0, 'skew': 2.0}, 'aspect ratio', 'aspect'),
+    ((520, 4.0, 0.0), {'skew': 0.0}, 'skew', 'skew'),
+    ((520, 0.0, 0.0), {'skew': 0.0, 'principal_point': (338.0, 235.0)}, 'principal point', 'cx'),
+    ((520, 0.0, 0.002), {'skew': 0.0, 'distortion': 'radial2'}, 'lens model', 'p1')])
+def test_facts_that_a_board_contradicts_are_named(true, stated, fact, name):
+    # the first was 5 sigmas off in silence, the last 11
+    fy, skew, p1 = true
+    camera = Camera([[520, skew, 328], [0, fy, 235], [0, 0, 1]], [-0.12, 0.05, p1, -p1], *SIZE)
+    rng = np.random.default_rng(1)
+    target = board()
+    poses = looking_at(target, rng.uniform(-0.6, 0.6, (14, 3)), 0.5)
+    tracks = seen(target, poses, camera, 0.1, rng)
+    refused = calibrate_known_object(tracks, target, facts=CameraFacts(**stated))
+    assert (refused.kind, refused.values['fact']) == ('fact_contradicted', fact)
+    prefers = next(one for one in refused.values['preferred'] if one['name'] == name)
+    truth = {'aspect': fy / 520, 'skew': skew, 'cx': 328.0, 'p1': p1}[name]
+    assert abs(prefers['value'] - truth) < 4 * prefers['sigma']
+    # declared exact, it is kept and told
+    kept = calibrate_known_object(tracks, target, facts=CameraFacts(**stated, trusted=True))
+    assert kept and fact in [one.values.get('fact') for one in kept.findings]
+
+
 def test_one_board_suffices_where_the_facts_do():
     pose = looking_at(BOARD, [[0.5, 0.4, 0]], 0.45)
     facts = CameraFacts(aspect_ratio=640 / 610, skew=0.0, principal_point=(330, 225))

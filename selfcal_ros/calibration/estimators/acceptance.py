@@ -32,7 +32,6 @@ from selfcal_ros.calibration.estimators.motion_class import (axis_place, describ
 from selfcal_ros.calibration.estimators.rectified import rectified_findings
 from selfcal_ros.calibration.estimators.shutter_choice import (readout_of, row_motion_of,
                                                                shutter_findings)
-from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict, LENS_MODEL
 from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND, supported_optimum
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -45,6 +44,7 @@ from selfcal_ros.calibration.structure.structure_measurement import precision_of
 from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.distortion_misfit import DistortionMisfit
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
+from selfcal_ros.calibration.uncertainty.facts_verdict import FactsVerdict, LENS_MODEL
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding

@@ -21,20 +21,15 @@ images are calibrated without the facts, and what they then prefer is held again
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
-from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
-from selfcal_ros.calibration.estimators.stated_facts import (ABOUT, CONTRADICTED, PLAUSIBLE,
-                                                             spread_of_unknowns)
+from selfcal_ros.calibration.estimators.stated_facts import spread_of_unknowns
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.uncertainty.free_of_facts import preferences
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
-from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.scaled_inverse import squared_distance
 
@@ -64,32 +59,11 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
         None where the images do not know better than chance, or not well.
 
     """
-    camera, priors = free.camera, priors_from_facts(facts)
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    rows = dict(zip(MATRIX_PARAMETERS, np.eye(len(MATRIX_PARAMETERS), len(camera.parameters))))
-    rows['aspect'] = (rows['fy'] - fy / fx * rows['fx']) / fx
-    values = {**dict(zip(MATRIX_PARAMETERS, camera.parameters)), 'aspect': fy / fx}
-    found: list[tuple[float, dict[str, Any]]] = []
-    for fact, names in ABOUT.items():
-        if not set(names) <= set(priors):
-            continue
-        slope = np.array([rows[name] for name in names])
-        covariance = slope @ free.covariance @ slope.T
-        sigma = np.sqrt(np.diag(covariance))
-        distance = np.array([values[name] - priors[name].value for name in names])
-        covariance += np.diag([priors[name].sigma**2 for name in names])
-        total = squared_distance(distance, covariance)
-        # what is known worse than facts are wrong may have any other cause
-        if chi2_sf(total, len(names)) < CONTRADICTED and all(
-                one < PLAUSIBLE[name] * (1.0 if name == 'aspect' else fx)
-                for name, one in zip(names, sigma)):
-            sigmas = float(np.sqrt(total))
-            found.append((sigmas, {'fact': fact, 'sigmas': sigmas, 'preferred': [
-                {'name': name, 'value': float(values[name]), 'sigma': float(one),
-                 'stated': priors[name].value} for name, one in zip(names, sigma)]}))
+    found = preferences(facts, free)
     if not found:
         return None
-    first, *more = (told for _, told in sorted(found, key=lambda one: -one[0]))
+    first, *more = ({'fact': one.fact, 'sigmas': one.sigmas, 'preferred': one.preferred}
+                    for one in found)
     return NoEstimate('fact_contradicted', **first, motion=free.motion, facts=facts, further=[
         Finding('fact_contradicted_too', **one) for one in more])
 

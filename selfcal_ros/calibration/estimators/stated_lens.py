@@ -28,10 +28,10 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens
-from selfcal_ros.calibration.estimators.stated_facts import (Contradiction, LENS_MODEL,
-                                                             MOVED_FRACTION)
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
                                                                    find_distortion_misfit)
+from selfcal_ros.calibration.uncertainty.facts_verdict import (Contradiction, LENS_MODEL,
+                                                               MOVED_FRACTION)
 from selfcal_ros.calibration.uncertainty.hidden_decentring import possible_decentring
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts

@@ -22,15 +22,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.estimators.stated_facts import (CONTRADICTED, Contradiction,
-                                                             FactsVerdict, MOVED_FRACTION)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.row_readout import RowReadout
+from selfcal_ros.calibration.uncertainty.facts_verdict import CONTRADICTED
+from selfcal_ros.calibration.uncertainty.free_of_facts import held_against, Preference
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -75,7 +75,7 @@ def _tested(held: Calibration | NoEstimate, free: Calibration | NoEstimate, fact
     if not free:
         return held
     prefers = _preferred(free, facts)
-    return held if prefers is None else _judged(held, free, facts, *prefers)
+    return held_against(held, free, [] if prefers is None else [prefers], facts.trusted)
 
 
 def _read_somehow(free: Calibration) -> Finding | None:
@@ -83,10 +83,10 @@ def _read_somehow(free: Calibration) -> Finding | None:
     return next((one for one in free.findings if one.kind in READ_SOMEHOW), None)
 
 
-def _preferred(free: Calibration, facts: CameraFacts) -> tuple[float, dict[str, object]] | None:
-    """Tell by how many sigmas a shutter is not as stated, and what it is; None within chance."""
+def _preferred(free: Calibration, facts: CameraFacts) -> Preference | None:
+    """Tell what the images prefer to the stated shutter; None within chance."""
     readout, somehow = free.shutter, _read_somehow(free)
-    preferred: dict[str, object]
+    preferred: dict[str, Any]
     if readout is None:
         if somehow is None or facts.line_delay_s is not None:
             return None
@@ -96,7 +96,10 @@ def _preferred(free: Calibration, facts: CameraFacts) -> tuple[float, dict[str, 
         name, value, sigma, stated, stated_sigma = _in_common_unit(readout, facts)
         sigmas = abs(value - stated) / float(np.hypot(sigma, stated_sigma))
         preferred = {'name': name, 'value': value, 'sigma': sigma, 'stated': stated}
-    return None if chi2_sf(sigmas**2, 1) > CONTRADICTED else (sigmas, preferred)
+    if chi2_sf(sigmas**2, 1) > CONTRADICTED:
+        return None
+    return Preference('global shutter' if facts.line_delay_s is None else 'line delay', sigmas,
+                      [preferred], facts.line_delay_sigma_s > 0)
 
 
 def _in_common_unit(readout: RowReadout, facts: CameraFacts,
@@ -108,24 +111,3 @@ def _in_common_unit(readout: RowReadout, facts: CameraFacts,
                    else ('line delay in µs', 1e6))
     return (name, scale * readout.line_delay_s, scale * readout.sigma_s,
             scale * (facts.line_delay_s or 0.0), scale * facts.line_delay_sigma_s)
-
-
-def _judged(held: Calibration | NoEstimate, free: Calibration, facts: CameraFacts, sigmas: float,
-            preferred: dict[str, object]) -> Calibration | NoEstimate:
-    """Refuse what rests on a shutter that the images contradict, or let the sigmas hold it."""
-    fact = 'global shutter' if facts.line_delay_s is None else 'line delay'
-    count, focal_px = len(MATRIX_PARAMETERS), float(free.camera.K[0, 0])
-    shift = np.zeros(len(held.camera.parameters) if held else count)
-    if held:
-        shift[:count] = (free.camera.parameters - held.camera.parameters)[:count]
-    verdict = FactsVerdict((Contradiction(
-        fact, [preferred], sigmas, shift,
-        bool(np.abs(shift).max() > MOVED_FRACTION * focal_px), facts.line_delay_sigma_s > 0),),
-        (), (), facts.trusted)
-    if not held:
-        return held if verdict.cause is None else verdict.cause
-    refusal = verdict.refusal(held.covariance, focal_px)
-    if refusal is not None:
-        return refusal
-    covariance, findings = verdict.widened(held.covariance, held.camera.parameter_names)
-    return replace(held, covariance=covariance, findings=(*findings, *held.findings))

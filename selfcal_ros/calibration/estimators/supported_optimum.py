@@ -27,8 +27,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
-from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
-                                                             LENS_MODEL)
+from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.estimators.stated_lens import contradicted_lens
 from selfcal_ros.calibration.estimators.zoom_selection import may_vary
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
@@ -36,6 +35,7 @@ from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
     allow_for_uneven_ground, allow_for_uneven_growth, allowing_for_growth, apply_lens_posterior,
     AssessedEstimate, Chain)
+from selfcal_ros.calibration.uncertainty.facts_verdict import FactsVerdict, LENS_MODEL
 from selfcal_ros.calibration.uncertainty.points_ahead import points_ahead
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts

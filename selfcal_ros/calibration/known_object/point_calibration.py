@@ -45,6 +45,7 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovariance,
                                                                     cluster_robust_covariance)
+from selfcal_ros.calibration.uncertainty.free_of_facts import with_tested_facts
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -138,7 +139,8 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts.check_for(size)
     result: Calibration | NoEstimate
     try:
-        result = _calibrate(tracks, target, size, facts, flatness)
+        result = with_tested_facts(
+            lambda stated: _calibrate(tracks, target, size, stated, flatness), facts)
     except np.linalg.LinAlgError:
         _LOGGER.debug('equations without a solution', exc_info=True)
         result = NoEstimate('equations_singular')
