@@ -135,10 +135,14 @@ def with_tested_facts(calibrated: Callable[[CameraFacts], Calibration | NoEstima
 
     """
     held = calibrated(facts)
+    # of a lens that is richer than those that are found out, nothing is held
     released = replace(facts, aspect_ratio=None, skew=None, principal_point=None,
-                       distortion='auto')
+                       distortion='auto' if facts.distortion in HELD_COEFFICIENTS
+                       else facts.distortion)
     free = held if released == facts else calibrated(released)
-    return held_against(held, free, preferences(facts, free), facts.trusted) if free else held
+    if not free or (held and free.noise_sigma_px > held.noise_sigma_px):
+        return held
+    return held_against(held, free, preferences(facts, free), facts.trusted)
 
 
 def held_against(held: Calibration | NoEstimate, free: Calibration, found: list[Preference],
