@@ -192,8 +192,8 @@ def known(kind, rng, lens=LENS):
                     priors=Priors(lens=lens.model), sigma_px=1.0)
     seen = bundle.residuals(state)
     if kind == 'bent board':
-        bend = Bend(rng.normal(size=(len(view), 3)), np.array([0.6, 0.0, 0.8]), 0.05)
-        state = replace(state, bend=0.02 * rng.normal(size=3))
+        bend = Bend(rng.normal(size=(len(view), 5, 3)), np.array([0.05, 0.04, 0.05, 0.03, 0.06]))
+        state = replace(state, bend=0.02 * rng.normal(size=5))
         bundle = Bundle(KnownPoints(points, bend), view, view, bundle.xy,
                         priors=Priors(lens=lens.model), sigma_px=1.0)
     if kind != 'edges':
