@@ -153,6 +153,7 @@ def test_images_are_shown_there_and_back():
     assert shown == [0, 1, 2, 3, 2, 1, 0, 1]
 
 
+@pytest.mark.long
 def test_every_method_of_few_views_is_measured_and_degenerate_scenes_are_refused():
     general = few_views.general_run(0, 'usual')
     assert set(general) == set(few_views.GENERAL_METHODS)

@@ -26,6 +26,7 @@ def allowed(runs):
     return 4 * np.sqrt(coverage.SHARES * (1 - coverage.SHARES) / runs) + 0.03
 
 
+@pytest.mark.long
 def test_lines_points_and_the_closed_form_lie_in_their_ellipsoids():
     runs = 40
     sequence = sequence_si(np.random.default_rng(0), 0.0)

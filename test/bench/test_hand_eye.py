@@ -15,6 +15,7 @@
 
 from bench.mounts.hand_eye import calibration_of
 import numpy as np
+import pytest
 from selfcal_ros.calibration.mounting import mounting
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.values.body_poses import BodyPoses
@@ -43,6 +44,7 @@ def mounted(body, camera):
         body[:, :3, :3], body[:, :3, 3], frames=np.arange(POSES))).mount
 
 
+@pytest.mark.long
 def test_errors_of_the_camera_are_found_in_its_own_frame(monkeypatch):
     """Errors along the axis are ten times those across: weighed alike, they cost accuracy."""
     streams = [stream(np.random.default_rng(seed)) for seed in range(15)]

@@ -67,6 +67,7 @@ def test_the_camera_changes_as_the_table_says(measured):
             assert np.hypot(*late[2:4]) == pytest.approx(5) and not late[:2].any()
 
 
+@pytest.mark.long
 def test_a_zoom_is_noticed(measured):
     delay, ratio, seconds = noticed(measured, 'focal length +2 %', 1)
     assert delay <= 50 and 0.5 < ratio < 1.5 and seconds

@@ -16,6 +16,7 @@
 from bench.calibration import short_clips
 from bench.calibration.short_clips import clip, EVERY, MAX_SIGMAS, one_run
 import numpy as np
+import pytest
 
 
 def test_patches_drift_beside_the_noise_of_each_image():
@@ -30,6 +31,7 @@ def test_patches_drift_beside_the_noise_of_each_image():
     assert 0.9 < usual / (0.03 * np.sqrt(EVERY)) < 1.1
 
 
+@pytest.mark.long
 def test_a_clip_is_true_and_green_only_where_it_is_sure(monkeypatch):
     monkeypatch.setattr(short_clips, 'POINTS', 80)
     status, _, turn_deg, worst, share = one_run(('room', 'hand', 'auto', 3))

@@ -57,6 +57,7 @@ def test_the_longest_run_is_counted():
         [], [0, 0], [1, 1, 0, 1], [1, 0, 1, 1, 1])] == [0, 0, 2, 3]
 
 
+@pytest.mark.long
 def test_a_rendered_object_is_followed_within_the_bars():
     recording = tracked_object(30, 'cube', size=(480, 360))
     track, errors = tracked(recording, start=start_of(recording))
@@ -78,6 +79,7 @@ def test_new_objects_are_their_models_and_every_wrong_model_is_another():
             assert same == (camera is not None) and (sigma is not None) == ('stated' in what)
 
 
+@pytest.mark.long
 def test_a_missed_bar_is_told(capsys, monkeypatch):
     # one sequence tells as much of the report as all do
     monkeypatch.setattr(tracking_poses, 'SEEDS', tracking_poses.SEEDS[:1])

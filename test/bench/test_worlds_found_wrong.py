@@ -130,6 +130,7 @@ def test_of_all_troubles_at_once_it_is_right():
     assert not outcome.refused and outcome.away < MAX_SIGMAS and outcome.sigma < 0.04
 
 
+@pytest.mark.long
 def test_each_of_few_views_is_read_in_turn_by_its_own_motion():
     """Views far apart do not tell how they moved while read: 5 sigma off, in silence."""
     world, _ = everyday.build('drone round a place', 6)

@@ -84,6 +84,7 @@ def test_images_that_tell_nothing_give_finite_starts_or_none(name):
         assert np.isfinite(state.points).all() and np.isfinite(state.path.cam_from_world()).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', [41, 42])
 def test_small_far_objects_give_a_camera(seed):
     # each of them is 12 pixels wide

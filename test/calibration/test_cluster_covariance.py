@@ -15,6 +15,7 @@
 
 import numpy as np
 
+import pytest
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.calibration.uncertainty.cluster_covariance import jackknife_excess
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -31,6 +32,7 @@ def test_independent_noise_is_not_widened():
     assert sum('shared' in note for note in notes) <= 1
 
 
+@pytest.mark.long
 def test_drift_within_tracks_is_seen_and_covered():
     """Errors that grow along a track: the sigma widens, and holds the truth."""
     deviations, found = [], 0

@@ -91,6 +91,7 @@ def test_the_truth_lies_within_the_sigmas():
     assert 0.7 < np.sqrt(np.mean(found**2)) < 1.35
 
 
+@pytest.mark.long
 def test_edges_that_are_not_where_the_model_has_them_widen_the_sigmas():
     found, widths = [], []
     for seed in range(8):
@@ -138,6 +139,7 @@ def test_impossible_arrays_are_refused(change):
         replace(views, **change)
 
 
+@pytest.mark.long
 def test_edges_that_err_by_themselves_are_in_the_sigmas():
     """Twelve edges: sums over so few gave sigmas that were a quarter too small."""
     found = [sigmas(calibrate_from_edges(cube_edges(

@@ -45,6 +45,7 @@ def test_a_near_circle_is_told_to_drive_an_s():
     assert 'drive an S' in advised(result)
 
 
+@pytest.mark.long
 def test_no_rotation_is_told_to_turn():
     _, result = calibrated('forward only', 0)
 

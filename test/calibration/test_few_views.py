@@ -128,6 +128,7 @@ def test_parallel_objects_are_for_objects_and_stated_once(how):
         calibrate(tracks, parallel_objects=(0, 1), **how)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('options', [
     {'turns_deg': np.zeros((4, 3))}, {'turns_deg': TURNED[:2]},
     {'turns_deg': TURNED, 'farness': 80.0}, {'turns_deg': TURNED, 'points': 9}],

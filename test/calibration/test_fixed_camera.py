@@ -112,6 +112,7 @@ def test_nothing_stands_still_before_a_camera_that_comes_back(at_home):
     assert not TrackExtents.measured(tracks).nothing_moves
 
 
+@pytest.mark.long
 def test_a_flat_disc_calibrates_with_the_principal_point_and_is_named_without():
     tracks = _tracks(8, 18.0, 50, wall=100)
     result = calibrate(tracks, facts=CameraFacts(principal_point=CENTRE, **SQUARE))

@@ -95,6 +95,7 @@ def test_turn_offset_and_bias_within_their_sigmas(waved):
     assert abs(found.camera.K[0, 0] - scene.camera.K[0, 0]) < 4 * found.sigma['fx']
 
 
+@pytest.mark.long
 def test_the_stated_covariance_is_true(waved):
     _, result = waved
     precision = result.reconstruction.pose_precision

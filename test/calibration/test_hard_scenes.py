@@ -67,6 +67,7 @@ def test_a_wall_does_not_take_its_mirror_image():
     assert abs(result.camera.K[0, 0] / 520 - 1) < 0.01
 
 
+@pytest.mark.long
 def test_a_drive_before_a_far_scene_is_no_turn_about_a_far_point_of_the_axis():
     result, away = outcome('far scene, 200 steps away', 1)
 

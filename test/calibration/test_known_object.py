@@ -331,6 +331,7 @@ def before_a_fisheye(rng, count=12, camera=None, reach_deg=75.0, noise_px=0.2):
                   np.concatenate(seen_px), SIZE), camera
 
 
+@pytest.mark.long
 def test_a_board_before_a_fisheye_shows_the_family_and_the_lens():
     inside = []
     for seed in range(6):

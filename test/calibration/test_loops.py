@@ -70,6 +70,7 @@ def long_drive():
     return scene, graph, problem, fit
 
 
+@pytest.mark.long
 def test_a_fit_of_all_views_is_no_start_for_some_of_them(long_drive):
     """An exception before: it has a pose for views that the search has not."""
     scene, graph, problem, fit = long_drive

@@ -51,6 +51,7 @@ def test_constraint_vanishes_at_the_plane_at_infinity_only():
     assert np.abs(modulus_residuals(views.cameras, 1.2 * found.plane + 1e-4)).max() > 1e-3
 
 
+@pytest.mark.long
 def test_noise_leaves_a_start_for_the_adjustment():
     for seed in range(5):
         scene, tracks = _general(seed, 0.126)
@@ -58,6 +59,7 @@ def test_noise_leaves_a_start_for_the_adjustment():
         assert abs(found.K[0, 0] / 649 - 1) < 0.06 and abs(found.K[1, 1] / 973.5 - 1) < 0.06
 
 
+@pytest.mark.long
 def test_stated_covariance_is_that_of_the_estimates():
     scene, tracks = _general(0, 0.0)
     away, stated = [], []

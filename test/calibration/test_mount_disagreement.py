@@ -44,6 +44,7 @@ def robot(kind, seed):
     return worlds.calibrated(rng, world), poses
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('kind', ['hand', 'drive'])
 @pytest.mark.parametrize('seed', range(2))
 def test_inverse_poses_are_told_and_right_ones_are_not_suspected(kind, seed):

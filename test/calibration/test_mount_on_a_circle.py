@@ -44,6 +44,7 @@ def _on_a_circle(seed, timed):
     return world, mount_camera(worlds.calibrated(rng, world), poses, stamps).mount
 
 
+@pytest.mark.long
 def test_a_circle_shows_roll_and_pitch_in_numbers_and_asks_for_another_radius():
     for seed in range(2):
         world, mount = _on_a_circle(seed, False)

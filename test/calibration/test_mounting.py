@@ -184,6 +184,7 @@ def test_a_drive_that_has_only_begun_lacks_images_and_no_poses():
     assert str(refused).startswith('8 images have a pose of the body so far; a mount needs 10.')
 
 
+@pytest.mark.long
 def test_poses_that_stop_midway_are_told():
     rng = np.random.default_rng(5)
     images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)

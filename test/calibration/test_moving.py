@@ -137,6 +137,7 @@ def test_what_passes_by_within_a_few_views_is_found_though_no_track_is_rejected(
     assert np.mean(own < 90) < 0.05
 
 
+@pytest.mark.long
 def test_few_brief_tracks_that_bend_the_estimate_are_found_from_without_them():
     tracks = briefly_crossed(np.random.default_rng(31))
     result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))

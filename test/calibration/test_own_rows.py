@@ -197,6 +197,7 @@ def test_views_move_by_themselves_beside_a_zoom():
     assert np.log(fx[-1] / fx[0]) == pytest.approx(0.04, abs=0.005)
 
 
+@pytest.mark.long
 def test_motion_that_no_size_is_enough_for_is_not_that_of_rows(waved_far_apart, monkeypatch):
     """Paths that were wrong asked for more than the interval: 17 sigma and 74 % off in silence."""
     *_, asked = waved_far_apart

@@ -211,6 +211,7 @@ def test_a_stated_shutter_is_held_against_the_images():
     assert 'line delay' not in [one.values.get('fact') for one in allowed.findings]
 
 
+@pytest.mark.long
 def test_a_global_shutter_of_views_far_apart_is_held_against_the_images():
     sequence = recorded(0.02, hand, views=11)
     refused = calibrate(sequence.tracks, facts=replace(SQUARE, shutter='global'),

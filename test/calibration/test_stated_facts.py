@@ -158,6 +158,7 @@ def test_another_family_of_lenses_is_told_by_its_name():
     assert 'lens = equidistant in place of plumb_bob' in str(told)
 
 
+@pytest.mark.long
 def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():
     tracks = seen_by(1, aspect=1.02).tracks
     refused = calibrate(tracks, motion='general', facts=SQUARE)

@@ -167,6 +167,7 @@ def test_a_constant_one_that_is_stated_is_tested():
     assert not refused and refused.kind == 'focal_not_constant'
 
 
+@pytest.mark.long
 def test_a_head_that_turns_may_zoom():
     rng = np.random.default_rng([5, 14])
     turns = np.radians(12 * rng.standard_normal((VIEWS, 3)))

@@ -38,6 +38,7 @@ def _homography(turn, x):
         [[1, 0, x], [0, 1, 0], [0, 0, 1]]) @ wall
 
 
+@pytest.mark.long
 def test_what_two_cameras_see_has_one_number():
     picture = _picture(np.random.default_rng(0))
     maps = {name: [_homography([0.02 * k, 0.05 * k - 0.1 + off, 0.03 * k], 12 * k + 15 * off)

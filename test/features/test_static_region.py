@@ -104,6 +104,7 @@ def test_keyframes_are_chosen_by_what_moves_beside_a_large_body():
     assert sum(few.offer(np.arange(300), xy + k * step) for k in range(7)) == 1
 
 
+@pytest.mark.long
 def test_a_body_over_more_than_half_of_a_video_leaves_the_scene_right(room):
     cameras = drive(16, 0.06, 1.2)
     rng = np.random.default_rng(0)

@@ -12,6 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 import numpy as np
+import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.features.detection import most_features
 from selfcal_ros.features.surplus import without_surplus
@@ -53,6 +54,7 @@ def test_the_choice_is_that_of_its_generator():
     assert (first == again).all() and (first != other).any()
 
 
+@pytest.mark.long
 def test_the_camera_of_a_third_of_the_positions_agrees_with_that_of_all():
     scene = drive(np.random.default_rng(3), 0.3, 16, 1500)
     facts = CameraFacts(aspect_ratio=1.0, skew=0.0)

@@ -93,6 +93,7 @@ def test_charuco_corners_are_where_they_were_drawn(dictionary):
     assert (again == identity).all()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(getattr(cv2, 'aruco', None), 'CharucoDetector'),
                     reason='this OpenCV draws boards in one way')
 def test_parts_of_an_old_charuco_board_have_the_numbers_of_the_whole(tmp_path):
@@ -126,6 +127,7 @@ def scene():
     return grid_scene(4, 4, 0.04, 0.03, 0.03)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('inside', [True, False])
 @pytest.mark.parametrize('distortion', [[0, 0, 0, 0], [-0.2, 0.05, 0, 0]])
 def test_one_image_of_a_tsai_grid_gives_the_camera(scene, inside, distortion):

@@ -98,6 +98,7 @@ def test_an_image_of_another_size_waits_for_its_tracks(graph):
     images.is_heard(3)
 
 
+@pytest.mark.long
 def test_of_two_processes_each_image_has_one_camera_info(graph, launch):
     graph = graph()
     infos, tracks = graph.listen(CameraInfo, 'camera_info'), graph.listen(PointCloud2, 'tracks')

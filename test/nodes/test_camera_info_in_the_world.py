@@ -124,6 +124,7 @@ def test_binning_and_region_give_the_full_sensor_and_the_image_its_own(graph, tm
         lambda: 'region of interest' in json.loads(on_road.results[-1].data)['reason'])
 
 
+@pytest.mark.long
 def test_a_driver_that_contradicts_its_images_is_not_believed(graph):
     on_road = Drive(graph(*OPTIONS), ImageWindow(4, 4), (1600, 1200))
     info = on_road.play(19)
@@ -156,6 +157,7 @@ class Logged:
         return self._text.count(words)
 
 
+@pytest.mark.long
 def test_a_missing_set_camera_info_service_costs_a_warning_and_a_driver_is_served(
         graph, tmp_path, capfd):
     graph = graph(*OPTIONS, '-p', 'set_camera_info_service:=camera/set_camera_info')
@@ -246,6 +248,7 @@ def test_a_size_that_the_file_is_not_for_is_refused_by_zeros(graph, tmp_path):
     assert not wrong.k.any() and (wrong.width, wrong.height) == (320, 240)
 
 
+@pytest.mark.long
 def test_a_file_that_comes_later_or_changes_is_followed(graph, tmp_path):
     graph = graph('-p', 'camera_name:=front')
     infos = graph.listen(CameraInfo, 'camera_info')

@@ -91,6 +91,7 @@ def test_a_place_where_no_file_can_be_is_refused_before_the_drive(monkeypatch, t
     assert CalibrationFile('front', 'folder/new/front.yaml').path == Path('folder/new/front.yaml')
 
 
+@pytest.mark.long
 def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path):
     path = tmp_path / 'front.yaml'
     camera = Camera.from_parameters([500, 500, 320, 240, 0, 0, 0, 0, 0], 640, 480)

@@ -36,6 +36,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SHORT = ('-p', 'silence_s:=0.5')
 
 
+@pytest.mark.long
 def test_a_late_best_effort_camera_is_missed_by_name_and_then_heard(graph, launch):
     graph = graph()
     tracks = graph.listen(PointCloud2, 'tracks')
@@ -74,8 +75,9 @@ def test_silence_names_the_publisher_and_how_it_sends(graph, launch):
     graph.probe.create_publisher(Image, '/cam/image_raw', BEST_EFFORT)
     node = launch('feature_tracker', *SHORT, '-p', 'image_transport:=raw', '-r',
                   'image:=/cam/image_raw')
-    graph.wait_for(lambda: node.has_said('no images on /cam/image_raw for 0.5 s; 1 publisher, '
-                                         'best effort (probe)'), what='warning')
+    # at first it may not know of the publisher; then the silence has lasted longer
+    graph.wait_for(lambda: node.has_said(' s; 1 publisher, best effort (probe)'), what='warning')
+    assert node.has_said('no images on /cam/image_raw for ')
 
 
 def test_silence_says_when_the_type_is_another(graph, launch):
@@ -104,6 +106,7 @@ def test_a_tracker_that_waits_for_a_listener_says_so(graph, launch):
     graph.wait_for(lambda: node.has_said('once somebody subscribes to /tracks'))
 
 
+@pytest.mark.long
 def test_compressed_images_beside_a_remapped_topic_are_found(graph, launch):
     graph = graph()
     tracks = graph.listen(PointCloud2, 'tracks')

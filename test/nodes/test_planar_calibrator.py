@@ -89,6 +89,7 @@ def on_the_road(graph):
     return Drive(graph(*OPTIONS))
 
 
+@pytest.mark.long
 def test_a_hint_is_not_saved_and_the_answer_tells_it(graph, tmp_path):
     curve = vehicle(np.random.default_rng(1), one_curve(6, 6), count=60)
     bend = Drive(graph('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=6', '-p',

@@ -123,6 +123,7 @@ def test_publishers_that_come_and_go_are_heard_however_they_send(station):
     station.track(reliable, range(6, 8))
 
 
+@pytest.mark.long
 def test_compressed_images_beside_a_remapped_topic_are_tracked_in(station):
     station = station('-r', 'image:=/cam/image_raw')
     camera = station.graph.probe.create_publisher(

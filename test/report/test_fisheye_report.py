@@ -144,6 +144,7 @@ def test_a_pinhole_that_is_held_has_no_curve_and_an_uncertain_one_has(calibratio
     assert lens_curve(folded, np.zeros((10, 10))).angle_deg[-1] < 32
 
 
+@pytest.mark.long
 def test_every_figure_of_a_fisheye_is_drawn_and_told(room):
     result, tracks = room
     drawings = {one.name: one for one in draw_figures(result, tracks)}

@@ -182,6 +182,7 @@ def test_how_a_board_was_held(calibration):
     assert distance_and_tilt(calibration) is None
 
 
+@pytest.mark.long
 def test_the_page_has_them_in_their_sections(html):
     places = [html.index(f'id="{name}"') for name in (
         'scene', 'course', 'certainty', 'ranges', 'lens', 'fit', 'radial', 'images-fit',

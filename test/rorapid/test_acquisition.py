@@ -209,6 +209,7 @@ def test_nothing_is_found_where_nothing_is():
             match_vertices(*pair, CAMERA, rng)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('shape, background, vertices, faces', [
     ('step_block', False, 10, 4), ('step_block', True, 7, 1), ('cube', False, 8, 2)])
 def test_a_model_is_made_from_two_images_alone(shape, background, vertices, faces):

@@ -83,6 +83,7 @@ def test_images_of_another_size_begin_another_scene():
     assert not change.look(noisy(np.zeros((120, 160)), 7))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('shape', ('step_block', 'spool'))
 def test_the_silhouette_of_a_pose_proposes_it(shape):
     made = tracked_object(4, shape=shape, seed=5)
@@ -161,6 +162,7 @@ def test_an_object_that_comes_back_otherwise_turned_is_found(first):
     assert len(errors) >= 2 and (errors[:, 0] < 1.0).all() and (errors[:, 1] < 0.01).all()
 
 
+@pytest.mark.long
 def test_an_object_that_looks_the_same_turned_by_half_is_found_in_either_pose():
     errors = back_after_absence('step_block', 80)
     half = np.minimum(errors[:, 0], 180 - errors[:, 0])
@@ -212,6 +214,7 @@ def test_a_round_part_that_looks_alike_from_two_sides_stays_lost():
     assert not come_back(bean, 'plain', 5)
 
 
+@pytest.mark.long
 def test_a_pattern_does_not_pass_for_the_outline():
     # it stays lost: no outline is sure enough
     assert not come_back(ring, 'patterned', 6)

@@ -107,6 +107,7 @@ def test_a_painted_cube_on_a_desk_is_found_and_its_distance_is_not_doubted():
     assert frames[-1].state is TrackerState.TRACKING and not frames[-1].reason
 
 
+@pytest.mark.long
 def test_one_that_moves_on_while_it_is_sought_is_met_where_it_goes():
     """A search takes as long as four images, which a camera does not wait for."""
     made = tracked_object(22, 'step_block', seed=33, supersampling=2, speed=2.0, background=True)
@@ -136,6 +137,7 @@ def test_another_object_before_a_wall_full_of_things_is_not_taken_for_it(sought)
     assert all(frame.image_px.shape == (0, 2) and not len(frame.found) for frame in frames)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not (DATA / 'vgg_corridor').is_dir(), reason='needs the recorded sets')
 @pytest.mark.parametrize('name', ('channel', 'slab'))
 def test_nothing_is_found_in_a_corridor_of_straight_lines(name):

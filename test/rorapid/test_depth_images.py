@@ -132,6 +132,7 @@ def test_places_lie_on_the_surface_evenly_with_normals_outward(shape):
     assert np.allclose(points.mean(axis=0), centre, atol=0.12 * np.ptp(model.extent))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('which', ('all', 'every other'))
 def test_faces_may_be_wound_in_any_way(which):
     made, images = block()

@@ -64,6 +64,7 @@ def test_a_start_some_degrees_off_converges(turn):
     assert np.allclose(frames[0].rotation, made.rotations[0], atol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('turn', ((60, 40, 50), (0, 75, 45)))
 def test_a_start_far_off_publishes_no_wrong_pose(turn):
     frames = follow(turn_deg=turn)
@@ -94,6 +95,7 @@ def flat_part():
     return made, [made.frame(k, renderer) for k in range(36)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('share, said_after', ((0.05, 5), (0.1, 12)))
 def test_a_doubt_stands_while_the_pose_gives_way_to_the_model_or_leaves_its_lines_aside(
         flat_part, share, said_after):

@@ -95,6 +95,7 @@ def check(frame, pose):
     assert sigma[2] > 1.5 and sigma[1] < 0.05     # any turn about the axis, radians; no other
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('cameras', (1, 2))
 def test_a_bottle_is_followed_though_nothing_shows_how_it_spins(cameras):
     vertices, faces = bottle()

@@ -59,10 +59,12 @@ def as_alone(options):
             assert np.array_equal(frame.found, expected.found)
 
 
+@pytest.mark.long
 def test_objects_with_lines_and_curves_and_settings_of_their_own_are_found_as_if_alone():
     as_alone(OPTIONS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('options', (
     (TrackerOptions(), TrackerOptions(camera_model='zoom'), TrackerOptions(method='rapid')),
     (TrackerOptions(candidates=1), TrackerOptions(line_delay_s=2e-5),

@@ -35,6 +35,7 @@ def test_after_missing_images_an_object_is_tracked_where_it_is():
     assert followed.count(TrackerState.TRACKING) > 0.95 * len(followed.states)
 
 
+@pytest.mark.long
 def test_a_turn_by_a_dozen_images_does_not_set_a_cube_spinning():
     # the images of the last test, rendered once
     followed = tracking_jumps.follow('cube', (6, 14), False, 0, samples=2)

@@ -46,6 +46,7 @@ def followed(seed, images, before=lambda tracker, number: None, hide=lambda imag
     return frames, np.array(turned_deg)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('seed', (1, 2))
 def test_a_pose_that_was_pushed_aside_comes_back_within_four_images(seed):
     """Edges alone let it slide: 33 degrees off after four images of seed 2."""

@@ -79,6 +79,7 @@ def test_two_cameras_know_depth_better_by_what_triangulation_gives():
     assert np.linalg.norm(rms[0][:3]) < 2e-4 and np.rad2deg(np.linalg.norm(rms[0][3:])) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('which, what', ((0, 'covered'), (1, 'no image')))
 def test_a_camera_that_sees_nothing_for_25_images_does_no_harm(which, what):
     (truth, _), cameras, images = scene()
@@ -173,6 +174,7 @@ def test_of_three_cameras_the_one_that_is_knocked_is_named_and_left_out():
     assert not any(said[:25]) and any(said[25:37]) and said[-1]
 
 
+@pytest.mark.long
 def test_a_model_that_is_too_large_is_said_as_such():
     (truth, _), cameras, images = scene('cube', 44, views=30)
     large = replace(truth.model, vertices=1.04 * truth.model.vertices)

@@ -126,6 +126,7 @@ def test_restricted_motion_is_at_least_as_accurate_and_more_certain(motion):
     assert np.mean(trace[0] < trace[1]) > 0.8
 
 
+@pytest.mark.long
 def test_the_plane_of_motion_is_learned():
     made, images = recording(50, motion='planar')
     frames = follow(made, images, TrackerOptions(motion='planar'))
@@ -291,6 +292,7 @@ def test_a_reset_forgets_everything():
     assert np.allclose(again.track(images[0]).translation, first[0].translation, atol=1e-12)
 
 
+@pytest.mark.long
 def test_an_affine_start_that_is_off_is_looked_at_from_other_sides():
     """Turned starts need an affine camera each; without one there was an error."""
     made = tracked_object(8, shape='step_block', supersampling=2)

@@ -229,6 +229,7 @@ def test_grey_ramp_far_from_the_axis_of_a_fisheye(axis):
     assert np.abs(image[seen] - expected).max() < 0.35
 
 
+@pytest.mark.long
 def test_wide_recordings_fill_their_circle_and_tell_their_lens():
     camera = _fisheye(170.0)
     walk = hand_walk(3, 170.0, camera, noise_sigma=0)
