@@ -27,7 +27,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observation
                                                        with_all_points)
 from selfcal_ros.calibration.estimators.stated_facts import spread_of_unknowns
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.uncertainty.free_of_facts import preferences
+from selfcal_ros.calibration.uncertainty.facts_verdict import FactsVerdict
+from selfcal_ros.calibration.uncertainty.free_of_facts import contradictions
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -59,13 +60,8 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
         None where the images do not know better than chance, or not well.
 
     """
-    found = preferences(facts, free)
-    if not found:
-        return None
-    first, *more = ({'fact': one.fact, 'sigmas': one.sigmas, 'preferred': one.preferred}
-                    for one in found)
-    return NoEstimate('fact_contradicted', **first, motion=free.motion, facts=facts, further=[
-        Finding('fact_contradicted_too', **one) for one in more])
+    cause = FactsVerdict(tuple(contradictions(facts, free)), (), (), facts.trusted).cause
+    return None if cause is None else cause.saying(motion=free.motion, facts=facts)
 
 
 def preferred_by_all(refusal: NoEstimate, fit: RobustFit, offered: Observations,

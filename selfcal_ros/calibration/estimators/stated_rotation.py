@@ -47,9 +47,9 @@ def calibrate_said_to_rotate(case: MovingCamera) -> Calibration | NoEstimate:
     facts, rotations = case.facts, case.rotations_as_stated()
     if isinstance(rotations, NoEstimate):
         return rotations
-    may_miss = not facts.trusted and facts.focal != 'varying' and case.has_enough_views
+    is_asked = not facts.trusted and facts.focal != 'varying' and case.has_enough_views
     turn = (case.about_a_point(rotations)
-            if may_miss and MotionsSeen(case, rotations).is_near_turn else None)
+            if is_asked and MotionsSeen(case, rotations).is_near_turn else None)
     if turn is not None and turn.result:
         beside = () if turn.result.motion == 'rotation' else (Finding('not_exactly_rotation'),)
         return replace(turn.result, findings=(*beside, *turn.result.findings))

@@ -28,8 +28,8 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.row_readout import RowReadout
-from selfcal_ros.calibration.uncertainty.facts_verdict import CONTRADICTED
-from selfcal_ros.calibration.uncertainty.free_of_facts import held_against, Preference
+from selfcal_ros.calibration.uncertainty.facts_verdict import CONTRADICTED, Contradiction
+from selfcal_ros.calibration.uncertainty.free_of_facts import held_against
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf
@@ -83,7 +83,7 @@ def _read_somehow(free: Calibration) -> Finding | None:
     return next((one for one in free.findings if one.kind in READ_SOMEHOW), None)
 
 
-def _preferred(free: Calibration, facts: CameraFacts) -> Preference | None:
+def _preferred(free: Calibration, facts: CameraFacts) -> Contradiction | None:
     """Tell what the images prefer to the stated shutter; None within chance."""
     readout, somehow = free.shutter, _read_somehow(free)
     preferred: dict[str, Any]
@@ -98,8 +98,8 @@ def _preferred(free: Calibration, facts: CameraFacts) -> Preference | None:
         preferred = {'name': name, 'value': value, 'sigma': sigma, 'stated': stated}
     if chi2_sf(sigmas**2, 1) > CONTRADICTED:
         return None
-    return Preference('global shutter' if facts.line_delay_s is None else 'line delay', sigmas,
-                      [preferred], facts.line_delay_sigma_s > 0)
+    return Contradiction('global shutter' if facts.line_delay_s is None else 'line delay',
+                         [preferred], sigmas, has_sigma=facts.line_delay_sigma_s > 0)
 
 
 def _in_common_unit(readout: RowReadout, facts: CameraFacts,

@@ -21,7 +21,7 @@ difference. Either way the value that the images prefer is told.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ class Contradiction:
     sigmas : float
         How surely the images prefer it.
     shift : ndarray, shape (k,)
-        How the parameters of the camera move where the fact is released.
+        How the parameters of the camera move where the fact is released; not at all by default.
     is_large : bool
         Whether a parameter of the calibration matrix would be off by much.
     has_sigma : bool
@@ -75,8 +75,8 @@ class Contradiction:
     fact: str
     preferred: list[dict[str, Any]]
     sigmas: float
-    shift: np.ndarray
-    is_large: bool
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(len(MATRIX_PARAMETERS)))
+    is_large: bool = False
     has_sigma: bool = False
 
     @property

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,29 +37,7 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.scaled_inverse import squared_distance
 
 
-class Preference(NamedTuple):
-    """
-    What a calibration without a fact prefers to it.
-
-    Attributes
-    ----------
-    fact : str
-    sigmas : float
-        How surely.
-    preferred : list of dict
-        Of each unknown that the fact is about: name, value, sigma, stated.
-    has_sigma : bool
-        Whether the fact was stated with a sigma.
-
-    """
-
-    fact: str
-    sigmas: float
-    preferred: list[dict[str, Any]]
-    has_sigma: bool
-
-
-def preferences(facts: CameraFacts, free: Calibration) -> list[Preference]:
+def contradictions(facts: CameraFacts, free: Calibration) -> list[Contradiction]:
     """
     List what a calibration without the facts contradicts, the surest first.
 
@@ -73,8 +50,9 @@ def preferences(facts: CameraFacts, free: Calibration) -> list[Preference]:
 
     Returns
     -------
-    list of Preference
-        Empty where the images do not know better than chance, or not well.
+    list of Contradiction
+        Without what they do to the camera. Empty where the images do not know better than
+        chance, or not well.
 
     """
     camera, priors = free.camera, priors_from_facts(facts)
@@ -98,10 +76,10 @@ def preferences(facts: CameraFacts, free: Calibration) -> list[Preference]:
         if chi2_sf(total, len(about)) < CONTRADICTED and all(
                 one < PLAUSIBLE.get(name, np.inf) * (fx if name in ('skew', 'cx', 'cy') else 1.0)
                 for name, one in zip(about, sigma)):
-            found.append(Preference(fact, float(np.sqrt(total)), [
+            found.append(Contradiction(fact, [
                 {'name': name, 'value': float(values[name]), 'sigma': float(one),
                  'stated': float(was)} for name, one, was in zip(about, sigma, stated)],
-                bool(spread.any())))
+                float(np.sqrt(total)), has_sigma=bool(spread.any())))
     return sorted(found, key=lambda one: -one.sigmas)
 
 
@@ -142,11 +120,11 @@ def with_tested_facts(calibrated: Callable[[CameraFacts], Calibration | NoEstima
     free = held if released == facts else calibrated(released)
     if not free or (held and free.noise_sigma_px > held.noise_sigma_px):
         return held
-    return held_against(held, free, preferences(facts, free), facts.trusted)
+    return held_against(held, free, contradictions(facts, free), facts.trusted)
 
 
-def held_against(held: Calibration | NoEstimate, free: Calibration, found: list[Preference],
-                 trusted: bool) -> Calibration | NoEstimate:
+def held_against(held: Calibration | NoEstimate, free: Calibration,
+                 found: list[Contradiction], trusted: bool) -> Calibration | NoEstimate:
     """
     Refuse a calibration that rests on contradicted facts, or let its sigmas hold the difference.
 
@@ -156,8 +134,8 @@ def held_against(held: Calibration | NoEstimate, free: Calibration, found: list[
         Under the facts.
     free : Calibration
         From the same images, without them.
-    found : list of Preference
-        What that contradicts.
+    found : list of Contradiction
+        What that contradicts, without what it does to the camera.
     trusted : bool
         Whether the facts were declared exact.
 
@@ -175,8 +153,8 @@ def held_against(held: Calibration | NoEstimate, free: Calibration, found: list[
     is_large = bool(np.abs(shift).max() > MOVED_FRACTION * focal_px)
     # all facts were released at once: the whole way is the first one's
     verdict = FactsVerdict(tuple(
-        Contradiction(one.fact, one.preferred, one.sigmas, shift if k == 0 else 0 * shift,
-                      is_large, one.has_sigma) for k, one in enumerate(found)), (), (), trusted)
+        replace(one, shift=shift if k == 0 else 0 * shift, is_large=is_large)
+        for k, one in enumerate(found)), (), (), trusted)
     if not held:
         return held if verdict.cause is None else verdict.cause
     refusal = verdict.refusal(held.covariance, focal_px)
