@@ -45,7 +45,7 @@ RUN_TESTS := ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist works
 	--max-worker-restart 2 $(REQUIRE)
 
 test: $(VENV)/package $(VENV)/test-tools
-	$(RUN_TESTS) -m 'not long' --durations 20 --durations-min 3 $(PYTEST_ARGS)
+	$(RUN_TESTS) -m 'not long and not linter' --durations 20 --durations-min 3 $(PYTEST_ARGS)
 
 test-all: $(VENV)/package $(VENV)/test-tools
 	$(RUN_TESTS) $(PYTEST_ARGS)

@@ -22,6 +22,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.mark.linter
 def test_flake8_finds_nothing():
     pytest.importorskip('flake8')
     done = subprocess.run([sys.executable, '-m', 'flake8', '.'], cwd=ROOT, capture_output=True,

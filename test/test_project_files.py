@@ -77,8 +77,10 @@ def test_the_workflow_runs_make_test_on_every_python_that_setup_py_takes():
     assert {'oldest', 'numpy==1.26.*', 'numpy==2.*'} == {one['versions'] for one in matrix}
     # there is no NumPy 1.26 for Python 3.13
     assert {'python': '3.13', 'versions': 'numpy==1.26.*'} not in matrix
-    assert any('make test' in step.get('run', '') for step in jobs['wheels']['steps'])
-    # what `make test` leaves out is run in the workspace
+    run = [line for step in jobs['wheels']['steps'] for line in step.get('run', '').splitlines()]
+    assert {'make lint PYTHON=python', 'make test PYTHON=python'} <= set(run)
+    # `make test` leaves both out: style and types, and what takes long
+    assert 'make lint' in (ROOT / '.ci/run').read_text(encoding='utf-8').splitlines()
     workspace = [step['run'] for step in jobs['ros']['steps']
                  if 'pytest -n' in step.get('run', '')]
     assert len(workspace) == 1 and 'long' not in workspace[0]

@@ -93,7 +93,7 @@ def test_every_image_three_times_is_not_mirrored():
 
 @pytest.mark.parametrize('name, seed, kind', [
     # 10 sigma off, with a sigma of 7 %
-    ('gen_views3', 13003, 'centre_outside'),
+    pytest.param('gen_views3', 13003, 'centre_outside', marks=pytest.mark.long),
     # 7 sigma off, with a sigma of 4 % and a principal point 138 px from the true one
     ('agv_views3', 17002, 'centre_outside'),
     # what it does looks like rows read in turn, and those left little of the first and last view

@@ -50,8 +50,9 @@ MOVES = {
 
 # rounding alone, and a little more than that
 @pytest.mark.parametrize('move, noise_px', [
-    *((move, 0.0) for move in MOVES), ('a line that slides', 1e-3),
-    ('a circle that turns', 1e-3), ('a grid that turns in the image', 1e-3)])
+    *((move, 0.0) for move in MOVES), ('a line that slides', 1e-3), *(
+        pytest.param(move, 1e-3, marks=pytest.mark.long)
+        for move in ('a circle that turns', 'a grid that turns in the image'))])
 def test_what_tells_nothing_of_a_camera_is_refused(move, noise_px, monkeypatch):
     over_a_plane, planes = MovingCamera.over_a_plane, []
     monkeypatch.setattr(MovingCamera, 'over_a_plane', lambda case, graph: (

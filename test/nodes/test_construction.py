@@ -34,6 +34,19 @@ from selfcal_ros.synthetic.object_shapes import cube
 MODEL = 'model:={folder}/model.cao'
 
 
+def threads_started_here(monkeypatch):
+    """Return the list that the threads which this thread starts will be in; others start, too."""
+    here, started, start = threading.current_thread(), [], threading.Thread.start
+
+    def noted(thread):
+        start(thread)
+        if threading.current_thread() is here:
+            started.append(thread)
+
+    monkeypatch.setattr(threading.Thread, 'start', noted)
+    return started
+
+
 @pytest.mark.parametrize('make, parameters', [
     (FeatureTrackerNode, ['mask:={folder}/none.png']),
     (partial(CalibratorNode, 'planar_calibrator', PlanarCalibratorParameters),
@@ -44,15 +57,16 @@ MODEL = 'model:={folder}/model.cao'
     (ObjectTrackerNode, [MODEL, 'start_pose:={folder}/none.yaml']),
     # all is there by then but its inputs: its thread, too
     (ObjectTrackerNode, [MODEL, 'image_transport:=theora'])])
-def test_a_refused_node_is_gone_at_once(graph, ros, tmp_path, make, parameters):
+def test_a_refused_node_is_gone_at_once(graph, ros, tmp_path, monkeypatch, make, parameters):
     write_model(cube().model, tmp_path / 'model.cao')
     graph(*(word for one in parameters for word in ('-p', one.format(folder=tmp_path))))
-    before, names = threading.active_count(), sorted(ros.get_node_names())
+    started = threads_started_here(monkeypatch)
+    names = sorted(ros.get_node_names())
     # the error is held, and with it the frame in which the node was made
     with pytest.raises(SelfcalError) as refused:
         make()
     assert sorted(ros.get_node_names()) == names, refused
-    assert threading.active_count() == before
+    assert not [thread.name for thread in started if thread.is_alive()]
 
 
 def test_whatever_breaks_the_making_off_ends_the_node(graph, ros):

@@ -80,6 +80,7 @@ def test_silence_names_the_publisher_and_how_it_sends(graph, launch):
     assert node.has_said('no images on /cam/image_raw for ')
 
 
+@pytest.mark.long
 def test_silence_says_when_the_type_is_another(graph, launch):
     graph = graph()
     graph.listen(PointCloud2, 'tracks')
