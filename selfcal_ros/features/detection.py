@@ -21,7 +21,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from selfcal_ros.features.likeness import (alike_among, alike_in_part, Described, look_of,
+from selfcal_ros.features.likeness import (alike_within, Described, look_of, of_places,
                                            USUAL_SIMILARITY)
 from selfcal_ros.features.mask import ImageMask
 
@@ -32,8 +32,6 @@ _LARGEST_SEARCH_PIXELS = 2_500_000
 #: Features of an image at most, and of all images; of more than 333 images each has fewer, for a
 #: fifth of what is found is more than a camera needs (`surplus.ENOUGH_POSITIONS`).
 MOST_FEATURES, MOST_OF_ALL, LEAST_FEATURES = 3000, 1_000_000, 600
-#: Rows of a product at a time: what stays in the cache of a processor costs half.
-_BLOCK = 256
 #: Settings of SIFT: weak blobs, too, for most photographs have too few strong ones.
 SIFT = {'contrastThreshold': 0.015, 'edgeThreshold': 12}
 #: Not among the types that OpenCV states.
@@ -189,19 +187,14 @@ def detect(grey: np.ndarray, most: int = MOST_FEATURES, cells: int = 12,
 def _twins(features: Features) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places a, b of one image that look alike, and how much."""
     whole, parts = features.described(), []
-    # of a place and a later one: once
-    order = np.argsort(whole.place, kind='stable')
     # the larger of two comes first
     (x, y), reach = features.xy.T.copy(), 1.5 * features.size_px
-    for begin in range(0, len(order), _BLOCK):
-        row, column = alike_in_part(whole, order, begin, begin + _BLOCK)
+    for row, column, alike in alike_within(whole):
         a, b = whole.place[row], whole.place[column]
         # the same corner found at two scales is no twin
-        near = reach[np.minimum(a, b)]
-        apart = (np.abs(x[a] - x[b]) > near) | (np.abs(y[a] - y[b]) > near)
-        apart &= b > a
-        parts.append((row[apart], column[apart]))
-    a, b, alike = alike_among(whole, whole, *(np.concatenate(part) for part in zip(*parts)))
+        apart = (np.abs(x[a] - x[b]) > reach[a]) | (np.abs(y[a] - y[b]) > reach[a])
+        parts.append((row[apart], column[apart], alike[apart]))
+    a, b, alike = of_places(whole, whole, *(np.concatenate(part) for part in zip(*parts)))
     a, b = a.astype(np.int32), b.astype(np.int32)
     a, b, alike = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(alike, 2)
     order = np.argsort(a, kind='stable')

@@ -241,7 +241,7 @@ class KltTracker:
             self.mask.check(grey.shape)
         if self._grey is not None and self._grey.shape != grey.shape:
             self.reset()
-        self._smooth = smooth = DoubledImage.smoothed(grey)
+        self._smooth = smooth = DoubledImage.smoothed(grey)[0]
         if len(self._ids):
             self._follow(grey, smooth)
         if self.most < self._searched[0]:

@@ -21,6 +21,7 @@ than their sketches, so that whoever compares sketches first misses nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -94,6 +95,12 @@ class Described:
         """Number of places."""
         return len(self.vectors) - len(self.second)
 
+    def select(self, kept: np.ndarray) -> Described:
+        """Return the appearance of the places where kept (N,) is true."""
+        both = kept[self.second]
+        return Described(self.vectors[np.concatenate([kept, both])],
+                         (np.cumsum(kept) - 1)[self.second[both]])
+
     @cached_property
     def place(self) -> np.ndarray:
         """The place of every vector, shape (N + E,)."""
@@ -152,6 +159,29 @@ def similarity(first: Described, some: np.ndarray, second: Described) -> np.ndar
     return result
 
 
+def most_alike(first: Described, some: np.ndarray, second: Described) -> np.ndarray:
+    """
+    Find how alike any place of the second is to places of the first.
+
+    Parameters
+    ----------
+    first, second : Described
+    some : ndarray of int, shape (n,)
+        Places of the first, in any order.
+
+    Returns
+    -------
+    ndarray of float32, shape (n,)
+        -1 where the second has no place.
+
+    """
+    found = np.full(len(some), -1, np.float32)
+    if second.count:
+        order = np.argsort(some, kind='stable')
+        found[order] = similarity(first, some[order], second).max(axis=1)
+    return found
+
+
 def mutual_nearest(first: Described, second: Described,
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
@@ -198,31 +228,48 @@ def perhaps_alike(sketch: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np
     return np.divmod(np.flatnonzero(product > MIN_SIMILARITY - _ROUNDING), product.shape[1])
 
 
-def alike_in_part(whole: Described, order: np.ndarray, begin: int, end: int,
-                  ) -> tuple[np.ndarray, np.ndarray]:
+def alike_within(whole: Described) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """
-    Find which vectors of one image may be alike to some of them.
+    Find which vectors of one image are alike, some of them at a time.
 
     Parameters
     ----------
     whole : Described
-    order : ndarray of int, shape (n,)
-        All its vectors; each is compared with those from `begin` on.
-    begin, end : int
-        Compare order[begin:end].
 
-    Returns
-    -------
+    Yields
+    ------
     rows, columns : ndarray of int, shape (m,)
-        Vectors.
+        Vectors. The place of a row comes before that of its column, or is the same.
+    similarity : ndarray of float32, shape (m,)
 
     """
-    some, others = order[begin:end], order[begin:]
-    row, column = perhaps_alike(whole.sketch[some], whole.sketch[others])
-    if len(row) > _CROWDED * len(some) * len(others):
-        # the squares of a chessboard: one product costs less than so many single ones
-        row, column = perhaps_alike(whole.vectors[some], whole.vectors[others])
-    return some[row], others[column]
+    order, crowded = np.argsort(whole.place, kind='stable'), False
+    for begin in range(0, len(order), _ROWS):
+        some, others = order[begin:begin + _ROWS], order[begin:]
+        if not crowded:
+            row, column = perhaps_alike(whole.sketch[some], whole.sketch[others])
+            crowded = len(row) > _CROWDED * len(some) * len(others)
+        if crowded:
+            # the squares of a chessboard: one product costs less than so many single ones
+            product = whole.vectors[some] @ whole.vectors[others].T
+            row, column = np.divmod(np.flatnonzero(product > MIN_SIMILARITY), len(others))
+            rows, columns, alike = some[row], others[column], product[row, column]
+        else:
+            rows, columns = some[row], others[column]
+            alike = _similarities(whole, whole, rows, columns)
+        once = (alike > MIN_SIMILARITY) & (whole.place[rows] <= whole.place[columns])
+        yield rows[once], columns[once], alike[once]
+
+
+def _similarities(first: Described, second: Described, rows: np.ndarray, columns: np.ndarray,
+                  ) -> np.ndarray:
+    """Cosines of vectors, row by row, shape (n,)."""
+    alike = np.empty(len(rows), np.float32)
+    for begin in range(0, len(rows), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        np.einsum('ij,ij->i', first.vectors[rows[some]], second.vectors[columns[some]],
+                  out=alike[some])
+    return alike
 
 
 def alike_among(first: Described, second: Described, rows: np.ndarray, columns: np.ndarray,
@@ -243,14 +290,31 @@ def alike_among(first: Described, second: Described, rows: np.ndarray, columns: 
     similarity : ndarray of float32, shape (m,)
 
     """
-    alike = np.empty(len(rows), np.float32)
-    for begin in range(0, len(rows), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        np.einsum('ij,ij->i', first.vectors[rows[some]], second.vectors[columns[some]],
-                  out=alike[some])
+    alike = _similarities(first, second, rows, columns)
     good = alike > MIN_SIMILARITY
-    rows, columns, alike = rows[good], columns[good], alike[good]
-    # a place that has two orientations is as alike as the better of them
+    return of_places(first, second, rows[good], columns[good], alike[good])
+
+
+def of_places(first: Described, second: Described, rows: np.ndarray, columns: np.ndarray,
+              alike: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Turn vectors that are alike into places: one with two orientations is like the better one.
+
+    Parameters
+    ----------
+    first, second : Described
+    rows, columns : ndarray of int, shape (n,)
+        Vectors.
+    alike : ndarray of float32, shape (n,)
+        Their similarities.
+
+    Returns
+    -------
+    a, b : ndarray of int, shape (m,)
+        Their places, every two once, in order of a and then b.
+    similarity : ndarray of float32, shape (m,)
+
+    """
     pair = first.place[rows] * second.count + second.place[columns]
     # pairs come nearly in order, which a stable sort makes use of
     order = np.argsort(pair, kind='stable')

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 import os
 
 import numpy as np
@@ -165,18 +165,26 @@ def refine(images: Sequence[np.ndarray], image: np.ndarray, track: np.ndarray, x
     warps, scales = np.tile(np.eye(2), (len(xy), 1, 1)), np.ones(len(xy))
     responses = np.zeros((len(length), 2, 6))
     smoothed = _smoothed(images)
+    level = coarseness[track]
     turns = local_turns(image, xy, reference[track])
     slot = np.full(len(length), -1)
 
-    def register(k: int, rows: np.ndarray, scale: float, level: int) -> None:
+    def register(k: int, rows: np.ndarray) -> None:
         """Register the observations of one image; rows of their own, in any order of images."""
+        several = smoothed(k)
+        for which in range(_LEVELS):
+            register_at(several[which], rows[level[rows] == which], which)
+
+    def register_at(doubled: DoubledImage, rows: np.ndarray, which: int) -> None:
+        """Register those of one level."""
+        scale = 2.0 ** which
         base = reference[track[rows]]
         residue = (xy[base] / scale - np.round(xy[base] / scale))[:, :, None]
         ratio = np.clip(size_px[rows] / size_px[base], 0.5, 2.0)
         start = turns[rows] * ratio[:, None, None]
         begin = xy[rows] / scale - (start @ residue)[:, :, 0]
         found, affine, correlation, step = _REGISTRATION.register(
-            templates, smoothed[level](k), begin, start, rows=slot[track[rows]])
+            templates, doubled, begin, start, rows=slot[track[rows]])
         found = found + (affine @ residue)[:, :, 0]
         shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
         good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
@@ -185,26 +193,30 @@ def refine(images: Sequence[np.ndarray], image: np.ndarray, track: np.ndarray, x
         registered[rows[good]], scales[rows] = True, scale
         sigma[rows] = scale * templates.position_sigma(correlation, slot[track[rows]])
 
+    def templates_of(rows: np.ndarray) -> Templates:
+        """Take the templates of references of one image, those of one level after the other."""
+        several, at = smoothed(int(image[rows[0]])), np.unique(level[rows], return_index=True)
+        # whole pixels: the template is taken without interpolation, its residue added back
+        return Templates.joined([
+            _REGISTRATION.templates(several[which], np.round(xy[some] / 2.0 ** which))
+            for which, some in zip(at[0], np.split(rows, at[1][1:]))])
+
+    # those first seen together are seen in the same other images
+    tracks = np.lexsort((coarseness, image[reference]))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        for level in range(_LEVELS):
-            scale = 2.0 ** level
-            tracks = np.flatnonzero(coarseness == level)
-            # those first seen together are seen in the same other images
-            tracks = tracks[np.argsort(image[reference[tracks]], kind='stable')]
-            for begin in range(0, len(tracks), _TEMPLATES):
-                some = tracks[begin:begin + _TEMPLATES]
-                slot[:] = -1
-                slot[some] = np.arange(len(some))
-                base = reference[some]
-                # whole pixels: the template is taken without interpolation, its residue added back
-                templates = _gather(smoothed[level], image[base], np.round(xy[base] / scale))
-                responses[some] = templates.response
-                rows = np.flatnonzero((slot[track] >= 0) & ~is_reference)
-                rows = rows[np.argsort(image[rows], kind='stable')]
-                here, at = np.unique(image[rows], return_index=True)
-                for job in [pool.submit(register, int(k), part, scale, level)
-                            for k, part in zip(here, np.split(rows, at[1:]))]:
-                    job.result()
+        for first_track in range(0, len(tracks), _TEMPLATES):
+            some = tracks[first_track:first_track + _TEMPLATES]
+            slot[:] = -1
+            slot[some] = np.arange(len(some))
+            templates = Templates.joined(list(pool.map(templates_of, np.split(
+                reference[some], np.flatnonzero(np.diff(image[reference[some]])) + 1))))
+            responses[some] = templates.response
+            rows = np.flatnonzero((slot[track] >= 0) & ~is_reference)
+            rows = rows[np.argsort(image[rows], kind='stable')]
+            here, at = np.unique(image[rows], return_index=True)
+            # the other way round: the last images are held ready
+            for _ in pool.map(register, here[::-1].tolist(), np.split(rows, at[1:])[::-1]):
+                pass
     good = np.flatnonzero(registered)
     geometry = EpipolarGeometry.of_matches(matches, len(images))
     second = along_tracks(geometry, image[good], track[good], is_reference[good], refined[good],
@@ -213,25 +225,13 @@ def refine(images: Sequence[np.ndarray], image: np.ndarray, track: np.ndarray, x
     return refined, registered, sigma
 
 
-def _smoothed(images: Sequence[np.ndarray]) -> tuple[Callable[[int], DoubledImage], ...]:
+def _smoothed(images: Sequence[np.ndarray]) -> Callable[[int], list[DoubledImage]]:
     """
     Slightly smoothed images, whole, halved and halved again; as many as there is room for.
 
     Each is asked for by its position.
     """
-    # the smaller ones take a third of what the whole ones do, and doubling takes four times
-    held = max(4, _HELD_BYTES * 3 // 4 // (4 * 4 * images[0].size))
-
-    @lru_cache(held)
-    def of_level(level: int, k: int) -> DoubledImage:
-        return DoubledImage.smoothed(images[k], level)
-
-    return tuple(partial(of_level, level) for level in range(_LEVELS))
-
-
-def _gather(smoothed: Callable[[int], DoubledImage], image: np.ndarray, xy: np.ndarray,
-            ) -> Templates:
-    """Templates of points that lie in different images, given image by image."""
-    here, at = np.unique(image, return_index=True)
-    return Templates.joined([_REGISTRATION.templates(smoothed(int(k)), part)
-                             for k, part in zip(here, np.split(xy, at[1:]))])
+    # doubling takes four times, and the smaller ones a third of that
+    each = 4 * 4 * images[0].size * 4 // 3
+    held = max(2, _HELD_BYTES * 3 // 4 // each)
+    return lru_cache(held)(lambda k: DoubledImage.smoothed(images[k], _LEVELS))

@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
 from selfcal_ros.features.likeness import (alike_among, best_and_second, Described, GUIDED_RATIO,
-                                           look_of, mutual_nearest, perhaps_alike)
+                                           look_of, most_alike, mutual_nearest, perhaps_alike)
 from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.geometry.division import DivisionModel
 
@@ -83,11 +83,13 @@ class _Gallery:
     def __init__(self, features: list[Features]):
         """Take the features of all images."""
         self.features = features
-        self.whole = lru_cache(_READY)(lambda k: features[k].described())
+        # none of them holds the gallery, which is large and goes when it is left
+        whole = self.whole = lru_cache(_READY)(lambda k: features[k].described())
         self.coarse = lru_cache(len(_COARSEST) * _READY)(
-            lambda k, most: ((part := features[k].coarsest(most)).twin_similarity,
-                             part.described()))
-        self.twin_similarity = lru_cache(None)(lambda k: features[k].twin_similarity)
+            lambda k, most: _Parted.of((part := features[k].coarsest(most)).described(),
+                                       part.twin_similarity))
+        self.parted = lru_cache(_READY)(
+            lambda k: _Parted.of(whole(k), features[k].twin_similarity))
 
     def distinctive(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         """Matches a, b of two images that leave no doubt, of the largest blobs if they do."""
@@ -95,15 +97,13 @@ class _Gallery:
         for most in _COARSEST:
             if most >= max(sizes):
                 break
-            (twins, look), (other_twins, other) = self.coarse(i, most), self.coarse(j, most)
-            a, b = _distinctive(twins, other_twins, look, other)
+            a, b = _distinctive(self.coarse(i, most), self.coarse(j, most))
             if len(a) >= _ENOUGH:
                 return a, b
         else:
             if len(a) < _HOPE:
                 return a, b
-        return _distinctive(self.twin_similarity(i), self.twin_similarity(j), self.whole(i),
-                            self.whole(j))
+        return _distinctive(self.parted(i), self.parted(j))
 
     def along_curves(self, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,
                      band_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -142,19 +142,55 @@ def _in_order(F: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return curves, np.argsort(np.where(turned, angle % np.pi, angle), kind='stable')
 
 
-def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, first: Described, second: Described,
-                 ) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Parted:
+    """
+    Places of one image, parted by whether the image can tell them apart.
+
+    Attributes
+    ----------
+    single, confused : Described
+        Those without a place so alike that no match is distinctive, and those with one.
+    place : ndarray of int, shape (n,)
+        Which places the single ones are.
+    twin : ndarray of float32, shape (n,)
+        Their similarity to the most alike other place.
+
+    """
+
+    single: Described
+    confused: Described
+    place: np.ndarray
+    twin: np.ndarray
+
+    @classmethod
+    def of(cls, look: Described, twin: np.ndarray) -> _Parted:
+        """Part places (N,) by their similarity to a twin (N,)."""
+        tells = twin < _SAME_SIMILARITY
+        place = np.flatnonzero(tells)
+        return cls(look.select(tells), look.select(~tells), place, twin[place])
+
+
+def _distinctive(first: _Parted, second: _Parted) -> tuple[np.ndarray, np.ndarray]:
     """
     Mutual nearest neighbours that pass the ratio test both ways, also against their twins.
 
     The squares of a chessboard pass the usual test where the right partner is out of view.
     """
-    a, b, best, runner_up = mutual_nearest(first, second)
-    twin = np.maximum(twins_a[a], twins_b[b])
-    # |p - q|^2 = 2 - 2 cos
-    good = (1 - best) < RATIO ** 2 * (1 - np.maximum(runner_up, twin))
-    good &= twin < _SAME_SIMILARITY
-    return a[good], b[good]
+    a, b, best, runner_up = mutual_nearest(first.single, second.single)
+    twin = np.maximum(first.twin[a], second.twin[b])
+
+    def clear(rival: np.ndarray) -> np.ndarray:
+        # |p - q|^2 = 2 - 2 cos
+        good: np.ndarray = (1 - best) < RATIO ** 2 * (1 - rival)
+        return good
+
+    good = clear(np.maximum(runner_up, twin))
+    a, b, best = a[good], b[good], best[good]
+    # what has a twin is no partner, but it may be a rival
+    good = clear(np.maximum(most_alike(first.single, a, second.confused),
+                            most_alike(second.single, b, first.confused)))
+    return first.place[a[good]], second.place[b[good]]
 
 
 def _guided(gallery: _Gallery, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,

@@ -64,16 +64,18 @@ class DoubledImage:
         return cls(cv2.pyrUp(np.asarray(image, np.float32)))
 
     @classmethod
-    def smoothed(cls, grey: np.ndarray, level: int = 0) -> DoubledImage:
+    def smoothed(cls, grey: np.ndarray, levels: int = 1) -> list[DoubledImage]:
         """
-        Smooth an image (H, W) slightly, halve it so many times, and subdivide it.
+        Smooth an image (H, W) slightly, and subdivide it: whole, halved, halved again, ...
 
         cv2.pyrDown keeps the centre of pixel (0, 0) in place.
         """
         image = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-        for _ in range(level):
+        several = [cls.of(image)]
+        for _ in range(levels - 1):
             image = cv2.pyrDown(image)
-        return cls.of(image)
+            several.append(cls.of(image))
+        return several
 
     @property
     def size(self) -> np.ndarray:
