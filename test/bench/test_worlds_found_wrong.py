@@ -82,6 +82,14 @@ def test_a_wrong_aspect_ratio_that_the_images_hardly_doubt_is_told():
     assert 'aspect ratio' in told
 
 
+def test_two_wrong_matches_do_not_make_the_lever_of_a_head():
+    """8.5 sigma off: they looked near, and the lever was a fortieth of the true one."""
+    result, worst = calibrated('ptu_lever0.12', 8317)
+
+    assert result and result.motion == 'pivot', str(result)
+    assert worst < MAX_SIGMAS
+
+
 @pytest.mark.long
 def test_every_image_three_times_is_not_mirrored():
     """One pair that is seen from quite another side counted nine times, and looked mirrored."""

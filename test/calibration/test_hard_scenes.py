@@ -98,7 +98,7 @@ def test_rotation_is_told_from_motion_with_little_parallax(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize('seed, refused', list(enumerate((True, False))))
+@pytest.mark.parametrize('seed, refused', [(0, False), (1, False), (2, True)])
 def test_a_long_valley_widens_the_sigmas(seed, refused):
     """Around a near axis the curvature at the optimum promises sigmas that are too small."""
     result, away = outcome('on the spot, 0.1 m off the axis', seed)

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.estimators.sliding_images import LONG
 from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
@@ -51,7 +52,6 @@ AS_MANY = 0.97
 #: A free path is weak where rotations leave less than this many times the noise in the middle.
 #: Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
 MAX_NOISE_OF_WEAK_PATH = 10.0
-
 #: A free path that knows the focal length to no more than this share of it is weak, too: behind a
 #: fisheye pairs of a head's views show what looks like parallax.
 WEAK_FOCAL = 0.03
@@ -297,7 +297,8 @@ def _turn_or_path(so_far: MotionsSeen) -> Calibration | NoEstimate | None:
     clearer = (path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
                and not (turn.result and path.observation_count
                         < AS_MANY * turn.result.observation_count))
-    settles = path and turn.leaves_open and not (
+    # turns are free paths, too: what they leave open, those know only where they explain more
+    settles = path and turn.leaves_open and path.motion in IN_A_PLANE and not (
         path.focal_sigma_share > WEAK_FOCAL and left_px < CLEARLY_LESS_NOISE * path.noise_sigma_px)
     return path if clearer or settles else turn.result
 

@@ -43,15 +43,13 @@ from selfcal_ros.calibration.estimators.image_shift_choice import (are_within_cr
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 ModelDecision)
-from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
-                                                               of_two_cameras)
+from selfcal_ros.calibration.estimators.motion_problem import of_two_cameras
 from selfcal_ros.calibration.estimators.rotation import (middle_stretch, RotationFit,
                                                          STRETCH_TRACKS_PER_VIEW)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, ShutterDecision
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
                                                                near_state, settle_zoom,
                                                                zoomed_fit, zooming)
-from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -64,8 +62,6 @@ from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import unit
 from selfcal_ros.geometry.schur_complement import PointBlocks
 
-#: So many starts are followed to the end.
-RIVALS = 4
 #: Free translations beside a short lever are not regular unknowns, and lower the cost by up to
 #: five times what their number lets expect though the point is fixed.
 NEARLY_FIXED = 6.0
@@ -90,6 +86,11 @@ FOREIGN_FOCAL = 0.2
 AS_LIKELY = 1.03
 #: Starts that leave less than so many times what the best one leaves may be the right ones.
 LIKELY = 1.5
+#: Tracks a view to find a turn with. Near points show a lever best. They are seen in few views,
+#: and are the first to go where fewer tracks are taken; then a few wrong matches make the lever.
+TRACKS_PER_VIEW = 400
+#: Focal lengths and levers of starts that come together differ by less than this share of them.
+SAME_FOCAL, SAME_LEVER = 0.003, 0.2
 #: So many times, before what is left of the starts is known well, is worth a closer look.
 PROMISING = 3.0
 
@@ -228,7 +229,7 @@ def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: 
         return start
     if is_no_rotation and _lever_share(start) > FAR_LEVER:
         return moved
-    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
+    medium, _ = window.observations.select(window.observations.longest(TRACKS_PER_VIEW))
     standing = with_all_points(start, medium)
     if standing is None:
         return NoEstimate('start_distortion_not_invertible')
@@ -353,19 +354,19 @@ def _lever_share(state: SceneState) -> float:
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
                      far_lever: float = np.inf) -> SceneState | NoEstimate:
     """
-    Follow levers in several directions on a share of the tracks; take the likeliest.
+    Follow levers in several directions on many of the tracks; take the likeliest.
 
     No estimate where nothing starts, or where all that are likely have a lever beyond
     `far_lever`, in shares of the points' depth.
     """
-    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    many, _ = problem.observations.select(problem.observations.longest(TRACKS_PER_VIEW))
     camera = turned.camera(*problem.size)
     priors = start_priors(problem, camera)
-    coarse = bundle_of(few, problem.motion, priors, 5 * problem.noise_px)
-    fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
+    coarse = bundle_of(many, problem.motion, priors, 5 * problem.noise_px)
+    fine = bundle_of(many, problem.motion, priors, 1.5 * problem.noise_px)
     assert problem.pivot is not None
     tried = []
-    for state in problem.pivot.starts(coarse.blocks, few.xy, camera):
+    for state in problem.pivot.starts(coarse.blocks, many.xy, camera):
         state = coarse.refine_points(with_fixed(state, priors))
         state = coarse.optimise(state, iterations=15, tolerance=TO_GO_ON)
         noise_px = coarse.noise_sigma(state)
@@ -381,19 +382,26 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
     if all(_lever_share(state) > far_lever for noise_px, state in tried
            if noise_px < LIKELY * least_px):
         return NoEstimate('moved_not_rotated', left_px=least_px, noise_px=problem.noise_px)
-    # a long bent valley leads to the optimum, slowly, and few tracks mislead there
-    medium, _ = problem.observations.select(
-        problem.observations.longest(MODEL_TRACKS_PER_VIEW))
+    # what they leave on the way tells little: the right one was the last of eight
     rivals = []
-    for noise_px, state in sorted(tried, key=lambda one: one[0])[:RIVALS]:
+    for k, (noise_px, state) in enumerate(tried):
+        if any(_is_same_turn(state, other) for _, other in tried[:k]):
+            continue
         # far along a common axis of all turns it would end in a false optimum
-        standing = with_all_points(resting_near(state) or state, medium)
+        standing = with_all_points(resting_near(state) or state, many)
         if standing is not None:
-            fit = fit_robustly(medium, standing, problem.motion, priors, noise_px, rounds=3)
-            rivals.append(fit)
+            rivals.append(fit_robustly(many, standing, problem.motion, priors, noise_px, rounds=3))
     # the mirror image of a scene explains its images about as well
     return (min(rivals, key=lambda one: cost_of_all_ahead(one, least_px)).state if rivals
             else NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown'))
+
+
+def _is_same_turn(state: SceneState, other: SceneState) -> bool:
+    """Tell whether two states are on the way to one optimum; mirror images need not be."""
+    first, second = (one.path.translation[0] * _inverse_depth(one.path.centres(), one.points)
+                     for one in (state, other))
+    return bool(abs(state.lens['f'] / other.lens['f'] - 1) < SAME_FOCAL
+                and np.linalg.norm(first - second) < SAME_LEVER * np.linalg.norm(first))
 
 
 def _without_lever(state: SceneState) -> SceneState:
