@@ -40,7 +40,8 @@ def away_from(sequence, result):
     'S-curve, level camera', 'S-curve of 2 degrees', 'about image x, S-curve',
     'general, three views', 'three views in a row, turning', 'floor and wall',
     'a moving body, a fifth of the points', 'outliers, a fifth',
-    'points in a corner of the image', 'long lens', '16 points'])
+    'points in a corner of the image', *(
+        pytest.param(name, marks=pytest.mark.long) for name in ('long lens', '16 points'))])
 def test_what_the_images_determine_is_found(name):
     result, away = outcome(name, 0)
 

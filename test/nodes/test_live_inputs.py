@@ -91,6 +91,7 @@ def test_silence_says_when_the_type_is_another(graph, launch):
         'sensor_msgs/msg/Image is read'), what='warning')
 
 
+@pytest.mark.long
 def test_silence_names_the_topic_that_may_be_meant(graph, launch):
     graph = graph()
     graph.probe.create_publisher(PointCloud2, '/left/tracks', RELIABLE)

@@ -71,8 +71,10 @@ def errors(made, frames):
 
 
 @pytest.mark.parametrize('kwargs', (
-    {}, {'shape': 'step_block'}, {'shape': 'spool'}, {'clutter': 0.5}, {'speed': 4.0},
-    {'distortion': (-0.25, 0.08, 1e-3, -1e-3)}), ids=str)
+    {}, {'shape': 'step_block'}, {'speed': 4.0}, *(
+        pytest.param(one, marks=pytest.mark.long) for one in (
+            {'shape': 'spool'}, {'clutter': 0.5}, {'distortion': (-0.25, 0.08, 1e-3, -1e-3)}))),
+                         ids=str)
 def test_poses_are_those_of_the_truth(kwargs):
     if tuple(kwargs.items()) in LONGEST:
         made, frames = recording(**kwargs)[0], longest_followed(**kwargs)[:40]
