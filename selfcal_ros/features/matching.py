@@ -179,17 +179,11 @@ def _distinctive(first: _Parted, second: _Parted) -> tuple[np.ndarray, np.ndarra
     """
     a, b, best, runner_up = mutual_nearest(first.single, second.single)
     twin = np.maximum(first.twin[a], second.twin[b])
-
-    def clear(rival: np.ndarray) -> np.ndarray:
-        # |p - q|^2 = 2 - 2 cos
-        good: np.ndarray = (1 - best) < RATIO ** 2 * (1 - rival)
-        return good
-
-    good = clear(np.maximum(runner_up, twin))
+    good = is_clear(best, np.maximum(runner_up, twin))
     a, b, best = a[good], b[good], best[good]
     # what has a twin is no partner, but it may be a rival
-    good = clear(np.maximum(most_alike(first.single, a, second.confused),
-                            most_alike(second.single, b, first.confused)))
+    good = is_clear(best, np.maximum(most_alike(first.single, a, second.confused),
+                                     most_alike(second.single, b, first.confused)))
     return first.place[a[good]], second.place[b[good]]
 
 
@@ -204,16 +198,17 @@ def _guided(gallery: _Gallery, pair: tuple[int, int], epipolar: EpipolarImages, 
     chosen = chosen[top_b[b[chosen]] == chosen]
     runner_up = np.maximum(second_a[a[chosen]], second_b[b[chosen]])
     a, b, score = a[chosen], b[chosen], score[chosen]
-    clear = _is_clear(score, runner_up)
+    clear = is_clear(score, runner_up.astype(float), GUIDED_RATIO)
     a, b, score = a[clear], b[clear], score[clear]
     confused = _has_twin(first, epipolar, epipolar.curves(F.T, second.xy[b]), a, score, band_px)
     confused |= _has_twin(second, epipolar, epipolar.curves(F, first.xy[a]), b, score, band_px)
     return a[~confused], b[~confused]
 
 
-def _is_clear(score: np.ndarray, rival: np.ndarray) -> np.ndarray:
+def is_clear(score: np.ndarray, rival: np.ndarray, ratio: float = RATIO) -> np.ndarray:
     """Tell whether matches of a score (n,) stand out from rivals as alike as this, (n,)."""
-    clear: np.ndarray = (1 - score) < GUIDED_RATIO ** 2 * (1 - rival.astype(float))
+    # |p - q|^2 = 2 - 2 cos
+    clear: np.ndarray = (1 - score) < ratio ** 2 * (1 - rival)
     return clear
 
 
@@ -226,7 +221,8 @@ def _has_twin(features: Features, epipolar: EpipolarImages, curves: np.ndarray,
     row = np.repeat(np.arange(len(chosen)), end - begin)
     pick = np.arange(len(row)) + np.repeat(begin - np.cumsum(end - begin) + end - begin,
                                            end - begin)
-    rival = (alike[pick] >= _SAME_SIMILARITY) | ~_is_clear(score[row], alike[pick])
+    alike = alike[pick]
+    rival = (alike >= _SAME_SIMILARITY) | ~is_clear(score[row], alike.astype(float), GUIDED_RATIO)
     row, pick = row[rival], pick[rival]
     near = np.abs(epipolar.off_curve(curves[row], epipolar.raised(features.xy)[:, b[pick]]))
     found = np.zeros(len(chosen), bool)
@@ -258,7 +254,7 @@ def _static(first: Features, second: Features, a: np.ndarray, b: np.ndarray) -> 
     near = np.flatnonzero(np.isfinite(apart))
     alike = np.einsum('ij,ij->i', look_of(first.sift[near]), look_of(second.sift[at[near]]))
     # the squares of a chessboard come to lie where others were
-    clear = (1 - alike) < RATIO ** 2 * (1 - first.twin_similarity[near])
+    clear = is_clear(alike, first.twin_similarity[near])
     still = int((clear & (alike > _STILL_SIMILARITY)).sum())
     return still if still >= 5 else 0
 

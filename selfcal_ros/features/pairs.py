@@ -19,7 +19,7 @@ import numpy as np
 
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.likeness import look_of
-from selfcal_ros.features.matching import RATIO
+from selfcal_ros.features.matching import is_clear
 
 #: Features of an image that judge whether another shows the same.
 _JUDGES = 300
@@ -64,7 +64,7 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
         a, b = np.arange(len(product)), product.argmax(axis=1)
         best = product[a, b]
         product[a, b] = -1
-        clear = (1 - best) < RATIO ** 2 * (1 - product.max(axis=1))
+        clear = is_clear(best, product.max(axis=1))
         shared[i, j] = shared[j, i] = len(np.unique(b[clear]))
     for i in range(count):
         nearest = np.argsort(-shared[i], kind='stable')[:relatives]

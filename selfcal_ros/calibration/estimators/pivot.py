@@ -346,9 +346,15 @@ def _inverse_depth(centres: np.ndarray, points: np.ndarray) -> float:
 
 
 def _lever_share(state: SceneState) -> float:
-    """Return the lever over the usual depth of points."""
-    lever = float(np.linalg.norm(state.path.translation[0]))
-    return lever * _inverse_depth(state.path.centres(), state.points)
+    """Return the length of the lever over the usual depth of points."""
+    return float(np.linalg.norm(_lever(state)))
+
+
+def _lever(state: SceneState) -> np.ndarray:
+    """Return the lever (3,) in the camera's frame over the usual depth of points."""
+    lever: np.ndarray = state.path.translation[0] * _inverse_depth(state.path.centres(),
+                                                                   state.points)
+    return lever
 
 
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
@@ -398,8 +404,7 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
 
 def _is_same_turn(state: SceneState, other: SceneState) -> bool:
     """Tell whether two states are on the way to one optimum; mirror images need not be."""
-    first, second = (one.path.translation[0] * _inverse_depth(one.path.centres(), one.points)
-                     for one in (state, other))
+    first, second = _lever(state), _lever(other)
     return bool(abs(state.lens['f'] / other.lens['f'] - 1) < SAME_FOCAL
                 and np.linalg.norm(first - second) < SAME_LEVER * np.linalg.norm(first))
 
