@@ -27,16 +27,20 @@ from selfcal_ros.calibration.bundle.motion import PIVOT
 from selfcal_ros.calibration.bundle.path import AxisPath, path_unknowns
 from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_near
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
+                                                       RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators import motion_choice, moving_camera, pivot, rotation
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.motion_choice import MAX_NOISE_OF_WEAK_PATH
 from selfcal_ros.calibration.estimators.moving_camera import MovingCamera, Turn
-from selfcal_ros.calibration.estimators.pivot import (decide_pivot, extent_share, left_by_turns,
+from selfcal_ros.calibration.estimators.pivot import (best_pivot_start, decide_pivot,
+                                                      extent_share, left_by_turns,
                                                       PivotDecision)
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
-from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
+from selfcal_ros.calibration.initialisation.pivot_start import (completed_rotations,
+                                                                lever_direction, PivotPath)
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -185,6 +189,35 @@ def state_of(sequence, tracks):
     observed = Observations(tracks.frame[rows], point[rows], tracks.xy[rows], names)
     return observed, SceneState(Lens.of(sequence.camera), path,
                                 points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def test_what_a_simple_lens_leaves_is_not_taken_for_a_lever():
+    # starts without decentring ended with a lever of a third of the depth, and 1.4 times f
+    camera = Camera(CAMERA.K, (-0.385, 0.178, -0.001, 0.0035, -0.043), 640, 480)
+    sequence = head(4, (0, -0.0045, -0.015), 20.0, 12, 120, camera=camera)
+    observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
+    turns = state.path.rotations() @ state.path.rotations()[0].T
+    found = best_pivot_start(SelfCalibrationProblem(
+        observed, [], (640, 480), CameraFacts(aspect_ratio=1.0, skew=0.0), 0.2, PIVOT,
+        is_weak=True, pivot=PivotPath(turns, np.zeros(3))), state)
+
+    assert found.lens['f'] == pytest.approx(CAMERA.K[0, 0], rel=0.01)
+    assert extent_share(found.path.centres(), found.points) < 0.02
+
+
+def test_gross_errors_do_not_lead_away_from_a_good_start():
+    sequence = head(1, (0, -0.0045, -0.015), 14.0, 10, 100)
+    observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
+    rng = np.random.default_rng(1)
+    wrong = rng.choice(len(observed.xy), len(observed.xy) // 25, replace=False)
+    xy = observed.xy.copy()
+    xy[wrong] = rng.uniform(0, [640, 480], (len(wrong), 2))
+    clean, found = (fit_robustly(one, state, PIVOT, priors_from_facts(STRAIGHT), 0.2)
+                    for one in (observed, replace(observed, xy=xy)))
+
+    assert found.outliers == len(wrong)
+    assert abs(found.state.lens['f'] - clean.state.lens['f']) < 0.2 * np.sqrt(
+        clean.lens_covariance[0, 0])
 
 
 def test_the_way_of_a_camera_is_measured_against_depths_wherever_the_point_that_rests_is():

@@ -47,14 +47,16 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
 #: Gaussian residuals.
 OUTLIER_SIGMAS = 4.0
+#: What lowers the cost by more than so many standard deviations of its chi-square is no chance.
+DEVIATIONS_OF_CHANCE = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
 #: Observations whose points a start has behind the camera, or projects so far off (pixels), are
 #: left out if they are no more than this share: beside the camera a projection goes to infinity.
 FEW_ABSURD, ABSURD_PX = 0.02, 1e5
-#: A start that leaves so many times the supposed noise is a good one, and what it leaves beyond so
-#: many sigmas a gross error.
-FOUND, GROSS_SIGMAS = 1.2, 20.0
+#: A start that leaves so many times the supposed noise is a good one. What it leaves beyond so
+#: many sigmas is a gross error, of which there are no more than this share.
+FOUND, GROSS_SIGMAS, FEW_GROSS = 1.2, 20.0, 0.1
 #: The rows' displacements are renewed so often at most, and until they change by no more than
 #: this share of the noise (root mean square).
 RENEWALS, SETTLED = 6, 0.03
@@ -393,15 +395,15 @@ def _with_directions(bundle: Bundle[SceneState], state: SceneState, observations
 def _predicted(bundle: Bundle[SceneState], observations: Observations, state: SceneState,
                motion: MotionModel) -> tuple[Observations, SceneState]:
     """Leave out the few observations that a start knows nothing of: they decide every step."""
-    limit_px = ABSURD_PX
+    limit_px, few = ABSURD_PX, FEW_ABSURD
     if motion.fixed_pivot:
         found_px = bundle.noise_sigma(state)
         if found_px < FOUND * bundle.sigma_px:
             # along the valley of a short lever a few gross errors lead away from a good start
-            limit_px = GROSS_SIGMAS * found_px
+            limit_px, few = GROSS_SIGMAS * found_px, FEW_GROSS
     # NaN behind the camera
     known = lengths(bundle.residuals(state)) < limit_px
-    if known.all() or np.mean(~known) > FEW_ABSURD:
+    if known.all() or np.mean(~known) > few:
         return observations, state
     kept, points = observations.select(known)
     if len(np.unique(kept.view)) < len(state.path):
@@ -425,11 +427,12 @@ def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) 
     return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 
-def is_chance(excess: float, freedom: float) -> bool:
+def is_chance(excess: float, freedom: float, deviations: float = DEVIATIONS_OF_CHANCE,
+              ) -> bool:
     """
     Tell whether so many unknowns lower twice the cost so much by chance.
 
-    Beyond four standard deviations of its chi-square it is none. That is 1 in 200 of three
-    unknowns, and 1 in 1400 of thirty.
+    Beyond so many standard deviations of its chi-square it is none. Beyond four is 1 in 200 of
+    three unknowns, and 1 in 1400 of thirty.
     """
-    return bool(excess <= freedom + 4 * np.sqrt(2 * freedom))
+    return bool(excess <= freedom + deviations * np.sqrt(2 * freedom))

@@ -22,9 +22,10 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.plane_of_motion import choose_motion, out_of_plane
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
-                                                       Observations, refit, RobustFit,
-                                                       with_all_points)
+from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, DEVIATIONS_OF_CHANCE,
+                                                       fit_robustly, is_chance, Observations,
+                                                       refit, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.tolerances import TO_COMPARE
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
@@ -45,6 +46,9 @@ from selfcal_ros.geometry.rotation import rotation_vector
 
 #: A motion leaves the plane by far more than supposed: so many times the sigma.
 STRAINED = 2.0
+#: Fewer views show a plane by four measurements, and as many unknowns of a camera make one of any
+#: path. So many standard deviations of chance are enough to doubt it: free motion tells as much.
+VIEWS_OF_A_PLANE, DOUBT_OF_FEW = 4, 2.0
 
 
 @dataclass(frozen=True)
@@ -103,10 +107,32 @@ class ModelDecision:
 def first_fit(problem: SelfCalibrationProblem, observations: Observations, state: SceneState,
               ) -> RobustFit:
     """Fit a fraction of the tracks with soft priors, the models still open."""
+    state, priors = with_open_lens(problem, observations, state)
+    return fit_robustly(observations, state, problem.motion, priors, 1.5 * problem.noise_px)
+
+
+def with_open_lens(problem: SelfCalibrationProblem, observations: Observations,
+                   state: SceneState) -> tuple[SceneState, Priors]:
+    """
+    Open what a lens may do: all that those of its family do, or what the facts state.
+
+    Parameters
+    ----------
+    problem : SelfCalibrationProblem
+    observations : Observations
+    state : SceneState
+
+    Returns
+    -------
+    SceneState
+        With that lens.
+    Priors
+        What is known of such lenses, and what most cameras have.
+
+    """
     facts = problem.facts
     stated = LENS_CHOICES.get(facts.distortion)
     if stated is None or stated[0] is not state.lens.model:
-        # of the family that the start is of, with all that such lenses do
         family: LensChoice = 'plumb_bob' if state.lens.model.is_perspective else 'equidistant'
         facts = replace(facts, distortion=family)
         state = with_lens(state, observations.xy, family)
@@ -114,7 +140,7 @@ def first_fit(problem: SelfCalibrationProblem, observations: Observations, state
     if facts.distortion in REGULARISED:
         known = replace(facts, lens_population=True)
         priors = lens_priors(known, problem.size, state.lens['f']).under(usual_matrix(problem))
-    return fit_robustly(observations, state, problem.motion, priors, 1.5 * problem.noise_px)
+    return state, priors
 
 
 def as_uneven_as_told(fit: RobustFit, tried: Observations) -> RobustFit:
@@ -241,7 +267,11 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
     held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=TO_COMPARE)
     excess = (2 * (bundle.cost(held) - free.cost)
               / robust_covariance_of(free, size).variance_inflation)
-    return not is_chance(excess, 3 * len(fit.state.path))
+    views = len(fit.state.path)
+    # three a view, but for the first, and the plane itself has two
+    freedom = 3 * views - 5
+    doubt = DOUBT_OF_FEW if views < VIEWS_OF_A_PLANE else DEVIATIONS_OF_CHANCE
+    return not is_chance(excess, freedom, doubt)
 
 
 def hold_parallel(fit: RobustFit, parallel: tuple[int, ...], size: tuple[int, int],

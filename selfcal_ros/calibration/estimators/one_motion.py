@@ -40,7 +40,8 @@ from selfcal_ros.calibration.estimators.image_shift_choice import (are_within_cr
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
-                                                                ModelDecision)
+                                                                ModelDecision,
+                                                                VIEWS_OF_A_PLANE)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad,
                                                              widest_turn_rad)
@@ -291,7 +292,7 @@ class OneMotion:
         fit, turned = held
         model = shutter.widened(choose_model(
             window, fit, len(self.medium.view) / len(self.problem.observations.view)))
-        if (self._turns_little(model.fit.state)
+        if (self._plane_is_open(model.fit.state)
                 and leaves_plane(model, self.medium, self.problem.size)):
             return not_planar(out_of_plane_rad(model.fit.state.path))
         # before all views are fitted: what a good lens and a good path still leave
@@ -342,10 +343,19 @@ class OneMotion:
         return (self.problem.motion.keeps_plane
                 and out_of_plane_rad(state.path) > limit_rad)
 
-    def _turns_little(self, state: SceneState) -> bool:
+    def _plane_is_open(self, state: SceneState) -> bool:
         """Tell whether a plane that nobody stated is to be held against free motion."""
-        return (self.problem.motion.keeps_plane and self.problem.supposes_plane
+        return self._turns_little(state) or (self._supposes_plane
+                                             and self.problem.views < VIEWS_OF_A_PLANE)
+
+    def _turns_little(self, state: SceneState) -> bool:
+        """Tell whether turns are small beside the unevenness that a supposed plane may have."""
+        return (self._supposes_plane
                 and widest_turn_rad(state.path.rotations()) < LITTLE_TURN_RAD)
+
+    @property
+    def _supposes_plane(self) -> bool:
+        return self.problem.motion.keeps_plane and self.problem.supposes_plane
 
 
 def _unbent(fit: RobustFit, result: Calibration, problem: SelfCalibrationProblem,

@@ -31,7 +31,7 @@ from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.point_of_rest import resting_near
-from selfcal_ros.calibration.bundle.priors import with_fixed
+from selfcal_ros.calibration.bundle.priors import Priors, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
                                                        Observations, refit, RobustFit,
                                                        with_all_points)
@@ -42,7 +42,7 @@ from selfcal_ros.calibration.estimators.image_shift_choice import (are_within_cr
                                                                    with_image_shifts)
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
-                                                                ModelDecision)
+                                                                ModelDecision, with_open_lens)
 from selfcal_ros.calibration.estimators.motion_problem import of_two_cameras
 from selfcal_ros.calibration.estimators.rotation import (middle_stretch, RotationFit,
                                                          STRETCH_TRACKS_PER_VIEW)
@@ -51,7 +51,7 @@ from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may
                                                                near_state, settle_zoom,
                                                                zoomed_fit, zooming)
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
-from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
@@ -89,6 +89,8 @@ LIKELY = 1.5
 #: Tracks a view to find a turn with. Near points show a lever best. They are seen in few views,
 #: and are the first to go where fewer tracks are taken; then a few wrong matches make the lever.
 TRACKS_PER_VIEW = 400
+#: Starts on the longest tracks, of which the fewest are wrong, are tried, too.
+FEW_TRACKS_PER_VIEW = 40
 #: Focal lengths and levers of starts that come together differ by less than this share of them.
 SAME_FOCAL, SAME_LEVER = 0.003, 0.2
 #: So many times, before what is left of the starts is known well, is worth a closer look.
@@ -360,46 +362,57 @@ def _lever(state: SceneState) -> np.ndarray:
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
                      far_lever: float = np.inf) -> SceneState | NoEstimate:
     """
-    Follow levers in several directions on many of the tracks; take the likeliest.
+    Follow levers in several directions on few and on many of the tracks; take the likeliest.
 
     No estimate where nothing starts, or where all that are likely have a lever beyond
     `far_lever`, in shares of the points' depth.
     """
     many, _ = problem.observations.select(problem.observations.longest(TRACKS_PER_VIEW))
-    camera = turned.camera(*problem.size)
-    priors = start_priors(problem, camera)
-    coarse = bundle_of(many, problem.motion, priors, 5 * problem.noise_px)
+    # what a lens of fewer terms leaves looks like a lever
+    turned, priors = with_open_lens(problem, many, turned)
+    begun = _begun(problem, turned, priors)
+    near_px = PROMISING * min((noise_px for noise_px, _ in begun), default=np.inf)
+    standing = [with_all_points(state, many) for noise_px, state in begun if noise_px < near_px]
     fine = bundle_of(many, problem.motion, priors, 1.5 * problem.noise_px)
-    assert problem.pivot is not None
-    tried = []
-    for state in problem.pivot.starts(coarse.blocks, many.xy, camera):
-        state = coarse.refine_points(with_fixed(state, priors))
-        state = coarse.optimise(state, iterations=15, tolerance=TO_GO_ON)
-        noise_px = coarse.noise_sigma(state)
-        if np.isfinite(noise_px):
-            tried.append((noise_px, state))
-    if not tried:
+    states = [fine.optimise(state, iterations=15, tolerance=TO_CHOOSE)
+              for state in standing if state is not None]
+    if not states:
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
-    near_px = PROMISING * min(noise_px for noise_px, _ in tried)
-    promising = [fine.optimise(state, iterations=15, tolerance=TO_CHOOSE)
-                 for noise_px, state in tried if noise_px < near_px]
-    tried = [(fine.noise_sigma(state), state) for state in promising]
-    least_px = min(noise_px for noise_px, _ in tried)
-    if all(_lever_share(state) > far_lever for noise_px, state in tried
+    left_px = [fine.noise_sigma(state) for state in states]
+    least_px = min(left_px)
+    if all(_lever_share(state) > far_lever for noise_px, state in zip(left_px, states)
            if noise_px < LIKELY * least_px):
         return NoEstimate('moved_not_rotated', left_px=least_px, noise_px=problem.noise_px)
     # what they leave on the way tells little: the right one was the last of eight
     rivals = []
-    for k, (noise_px, state) in enumerate(tried):
-        if any(_is_same_turn(state, other) for _, other in tried[:k]):
+    for k, (noise_px, state) in enumerate(zip(left_px, states)):
+        if any(_is_same_turn(state, other) for other in states[:k]):
             continue
         # far along a common axis of all turns it would end in a false optimum
-        standing = with_all_points(resting_near(state) or state, many)
-        if standing is not None:
-            rivals.append(fit_robustly(many, standing, problem.motion, priors, noise_px, rounds=3))
+        start = with_all_points(resting_near(state) or state, many)
+        if start is not None:
+            rivals.append(fit_robustly(many, start, problem.motion, priors, noise_px, rounds=3))
     # the mirror image of a scene explains its images about as well
     return (min(rivals, key=lambda one: cost_of_all_ahead(one, least_px)).state if rivals
             else NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown'))
+
+
+def _begun(problem: SelfCalibrationProblem, turned: SceneState, priors: Priors,
+           ) -> list[tuple[float, SceneState]]:
+    """Return what the first steps of every start leave, pixels, and where they lead."""
+    assert problem.pivot is not None
+    seen, camera = problem.observations, turned.camera(*problem.size)
+    begun = []
+    for tracks_per_view in (FEW_TRACKS_PER_VIEW, TRACKS_PER_VIEW):
+        some, _ = seen.select(seen.longest(tracks_per_view))
+        coarse = bundle_of(some, problem.motion, priors, 5 * problem.noise_px)
+        for state in problem.pivot.starts(coarse.blocks, some.xy, camera):
+            state = coarse.refine_points(with_fixed(state, priors))
+            state = coarse.optimise(state, iterations=15, tolerance=TO_GO_ON)
+            noise_px = coarse.noise_sigma(state)
+            if np.isfinite(noise_px):
+                begun.append((noise_px, state))
+    return begun
 
 
 def _is_same_turn(state: SceneState, other: SceneState) -> bool:
