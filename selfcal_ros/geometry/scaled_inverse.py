@@ -22,6 +22,7 @@ Of all diagonal scalings that is nearly the one of least condition (van der Slui
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 
 #: Least root of a diagonal: absolute, and over the largest. Nothing is divided by zero, and
 #: products of what nothing measures are still numbers.
@@ -112,6 +113,13 @@ def squared_distance(deviation: np.ndarray, covariance: np.ndarray,
     return float(np.sum(along**2 / values[told]))
 
 
-def least_scaled_eigenvalue(matrix: np.ndarray) -> float:
-    """Return the least eigenvalue of a symmetric matrix (n, n) with ones on its diagonal."""
-    return float(np.linalg.eigvalsh(unit_diagonal(matrix)[0])[0])
+def is_regular(matrix: np.ndarray, tolerance: float) -> bool:
+    """
+    Whether all eigenvalues of a symmetric matrix (n, n) with ones on its diagonal are larger.
+
+    Less the tolerance it is positive then, and has a Cholesky factor.
+    """
+    scaled = unit_diagonal(matrix)[0]
+    scaled[np.diag_indices(len(scaled))] -= tolerance
+    _, failed = dpotrf(scaled)
+    return not failed

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry.scaled_inverse import (least_scaled_eigenvalue, scaled_inverse,
+from selfcal_ros.geometry.scaled_inverse import (is_regular, scaled_inverse,
                                                  scaled_pseudo_inverse, squared_distance,
                                                  unit_diagonal)
 
@@ -70,8 +70,10 @@ def test_a_distance_is_that_of_the_inverse_and_never_negative(covariance):
 
 
 def test_the_least_eigenvalue_tells_dependence_and_not_units(covariance):
-    assert least_scaled_eigenvalue(covariance) > 1e-2
+    least = np.linalg.eigvalsh(unit_diagonal(covariance)[0])[0]
+    assert is_regular(covariance, 0.99 * least) and not is_regular(covariance, 1.01 * least)
+    assert least > 1e-2
     covariance[1] = covariance[0] * UNITS[1] / UNITS[0]
     covariance[:, 1] = covariance[:, 0] * UNITS[1] / UNITS[0]
-    assert abs(least_scaled_eigenvalue(covariance)) < 1e-12
-    assert least_scaled_eigenvalue(np.zeros((2, 2))) == 0
+    assert not is_regular(covariance, 1e-12)
+    assert not is_regular(np.zeros((2, 2)), 1e-12)

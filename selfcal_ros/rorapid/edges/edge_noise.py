@@ -140,7 +140,8 @@ class CommonScatter:
         square, freedom, curvature, weight = self._sums
         scatter = (sums[0] + _BEFORE_FREEDOM * square / freedom) / (sums[1] + _BEFORE_FREEDOM)
         bend = max(curvature / weight, _MIN_CURVATURE)
-        return float(np.clip(self._unseen * scatter / bend**2, *_COMMON))
+        least, most = _COMMON
+        return float(min(max(self._unseen * scatter / bend**2, least), most))
 
     def learn(self, sums: np.ndarray) -> None:
         """Take in an image that was accepted."""

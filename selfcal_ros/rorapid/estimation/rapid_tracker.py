@@ -19,7 +19,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
-from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
+from selfcal_ros.geometry.scaled_inverse import is_regular
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.estimation.joint_search import Measuring
@@ -185,7 +185,7 @@ class RapidTracker:
         H = (rows * w[:, None]).T @ rows
         g = rows.T @ (w * length)
         determined = (found.sum() >= rows.shape[1]
-                      and least_scaled_eigenvalue(H) > RANK_TOLERANCE)
+                      and is_regular(H, RANK_TOLERANCE))
         searched = max(int(view.searched.sum()), 1)
         share = float(found.sum() / searched)
         if not determined:

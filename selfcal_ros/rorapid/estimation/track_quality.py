@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import numpy as np
-from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
+from selfcal_ros.geometry.scaled_inverse import is_regular
 
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import Projection
@@ -106,7 +106,7 @@ def determines_pose(projection: Projection, basis: np.ndarray, information: np.n
     information = information + (along * (np.diagonal(information) @ along**2)) @ along.T
     if projection.model == 'zoom':
         information = (basis @ information @ basis.T)[:6, :6]
-    return least_scaled_eigenvalue(information) > RANK_TOLERANCE
+    return is_regular(information, RANK_TOLERANCE)
 
 
 def focal_sigma(projection: Projection, basis: np.ndarray, information: np.ndarray,

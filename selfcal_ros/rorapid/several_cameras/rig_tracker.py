@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
+from selfcal_ros.geometry.scaled_inverse import is_regular
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
@@ -398,4 +398,4 @@ def check_rig_options(options: TrackerOptions) -> None:
 
 def _determined(information: np.ndarray) -> bool:
     """Whether an image determines the whole pose."""
-    return least_scaled_eigenvalue(information) > RANK_TOLERANCE
+    return is_regular(information, RANK_TOLERANCE)

@@ -80,7 +80,4 @@ def appearance_of(visible: VisibleGeometry, centre: np.ndarray, projection: Proj
     """
     if visible.surface is not None:
         return SurfaceViews(visible.surface, centre, projection, most_points)
-    model = visible.model
-    faces = [model.vertices[list(face.indices)] - centre for face in model.faces]
-    corners = model.vertices[model.triangles] - centre
-    return TextureMemory(faces, corners, projection, most_points)
+    return TextureMemory(visible, centre, projection, most_points)

@@ -237,36 +237,3 @@ def sample_points(face: Face) -> np.ndarray:
     pick = np.linspace(0, len(rows) - 1, 25).astype(int)
     places: np.ndarray = face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
     return places
-
-
-def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """
-    Which points are behind a triangle, seen from the camera (Moeller and Trumbore's test).
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-    camera : ndarray, shape (3,)
-    triangles : ndarray, shape (T, 3, 3)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-
-    """
-    if not len(triangles):
-        return np.zeros(len(points), bool)
-    ray = points - camera
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    across = np.cross(ray[:, None], two)
-    scale = np.einsum('nti,ti->nt', across, one)
-    scale = np.where(np.abs(scale) < 1e-18, np.nan, scale)
-    start = camera - triangles[:, 0]
-    a = np.einsum('nti,ti->nt', across, start) / scale
-    side = np.cross(start, one)
-    b = ray @ side.T / scale
-    depth = np.einsum('ti,ti->t', two, side) / scale
-    with np.errstate(invalid='ignore'):
-        hit: np.ndarray = ((a > -1e-9) & (b > -1e-9) & (a + b < 1 + 1e-9) & (depth > 1e-9)
-                           & (depth < 1 - 1e-4)).any(axis=1)
-        return hit

@@ -32,8 +32,9 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
-from selfcal_ros.rorapid.texture.face_picture import (Face, hidden_points, lay_frame, MIN_SCORE,
-                                                      sample_points)
+from selfcal_ros.rorapid.texture.face_picture import (
+    Face, lay_frame, MIN_SCORE, sample_points)
+from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
 _MIN_COSINE, _MIN_AREA_PX = 0.2, 250.0
@@ -98,10 +99,10 @@ class TextureMemory:
 
     Parameters
     ----------
-    face_corners : sequence of ndarray, shape (n, 3)
-        Corners of each opaque face, object frame (the tracker's, centred).
-    triangles : ndarray, shape (T, 3, 3)
-        All opaque triangles, for what hides what.
+    visible : VisibleGeometry
+        The model, and what of it hides what.
+    centre : ndarray, shape (3,)
+        Origin of the tracker's object frame.
     projection : Projection
         Of a camera without distortion.
     most_points : int
@@ -109,12 +110,13 @@ class TextureMemory:
 
     """
 
-    def __init__(self, face_corners: Iterable[np.ndarray], triangles: np.ndarray,
+    def __init__(self, visible: VisibleGeometry, centre: np.ndarray,
                  projection: Projection, most_points: int = 48) -> None:
         """Lay a frame into each face."""
         self.projection, self.most_points = projection, int(most_points)
-        self._triangles = np.asarray(triangles, float).reshape(-1, 3, 3)
-        self._faces = [lay_frame(np.asarray(corners, float)) for corners in face_corners]
+        self._model, self._centre, model = visible, centre, visible.model
+        self._faces = [lay_frame(model.vertices[list(face.indices)] - centre)
+                       for face in model.faces]
         self._pixel = projection.camera.K
         self._view = None
         self._visible = np.zeros(len(self._faces), bool)
@@ -122,7 +124,7 @@ class TextureMemory:
         if self._faces:
             self._origins = np.array([f.corners.mean(axis=0) for f in self._faces])
             self._normals = np.array([f.normal for f in self._faces])
-            self._samples = np.concatenate([sample_points(f) for f in self._faces])
+            self._samples = centre + np.concatenate([sample_points(f) for f in self._faces])
 
     @property
     def known(self) -> bool:
@@ -149,7 +151,8 @@ class TextureMemory:
         view = centre / math.sqrt(centre @ centre)
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
-            hidden = hidden_points(self._samples, centre, self._triangles)
+            hidden = self._model.behind(self._samples, state.rotation,
+                                        state.translation - state.rotation @ self._centre)
             self._open = (cosine > 0.5 * _MIN_COSINE) & (
                 hidden.reshape(len(self._faces), -1).mean(axis=1) < 0.4)
         self._visible = self._open & (cosine > _MIN_COSINE)
