@@ -185,9 +185,9 @@ class Observations:
         apart = self.shutter.shift - other.shutter.at(state, other.view)
         return bool(np.sqrt(np.mean(apart**2)) < px)
 
-    def longest(self, per_view: int) -> np.ndarray:
-        """Mark the observations of the longest tracks, so many in every view, shape (N,)."""
-        return of_longest(self.view, self.point, per_view)
+    def longest(self, per_view: int) -> Observations:
+        """Keep the longest tracks, so many in every view."""
+        return self.select(of_longest(self.view, self.point, per_view))[0]
 
 
 @dataclass(frozen=True)

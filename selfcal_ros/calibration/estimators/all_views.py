@@ -46,7 +46,7 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     folded = NoEstimate('distortion_not_invertible', model=model.facts.distortion)
     if len(found.path) == problem.views:
         return with_all_points(found, problem.observations) or folded
-    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    few = problem.observations.longest(START_TRACKS_PER_VIEW)
     # the rows' displacements are found once there is a path
     few = replace(few, shutter=None)
     lens, priors = gentle_lens(model.fit, problem.facts, problem.size)

@@ -62,7 +62,7 @@ def coherent_fit(problem: SelfCalibrationProblem, per_view: int, proposals: Iter
         The one with the least noise; see `coherent_half`. None where there is none.
 
     """
-    tried, _ = problem.observations.select(problem.observations.longest(per_view))
+    tried = problem.observations.longest(per_view)
     blocks, best = PointBlocks(tried.point, tried.view), None
     for camera in proposals:
         priors = start_priors(problem, camera)

@@ -125,8 +125,7 @@ class OneMotion:
     @cached_property
     def medium(self) -> Observations:
         """The tracks on which models are chosen."""
-        observations = self.window.observations
-        return observations.select(observations.longest(MODEL_TRACKS_PER_VIEW))[0]
+        return self.window.observations.longest(MODEL_TRACKS_PER_VIEW)
 
     @property
     def _near_window(self) -> RobustFit | None:

@@ -148,7 +148,7 @@ def calibrate_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
     if parted or not may_stand:
         return parted
     # where nothing moves it was the starts that failed: this one began with fewer tracks
-    medium, _ = problem.observations.select(problem.observations.longest(MODEL_TRACKS_PER_VIEW))
+    medium = problem.observations.longest(MODEL_TRACKS_PER_VIEW)
     state = near_state(half, medium)
     if state is None or first_fit(problem, medium, state).outliers > (
             MANY_REJECTED * len(medium.view)):

@@ -231,7 +231,7 @@ def _turning_fit(problem: SelfCalibrationProblem, turning: RotationFit, turned: 
         return start
     if is_no_rotation and _lever_share(start) > FAR_LEVER:
         return moved
-    medium, _ = window.observations.select(window.observations.longest(TRACKS_PER_VIEW))
+    medium = window.observations.longest(TRACKS_PER_VIEW)
     standing = with_all_points(start, medium)
     if standing is None:
         return NoEstimate('start_distortion_not_invertible')
@@ -367,7 +367,7 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
     No estimate where nothing starts, or where all that are likely have a lever beyond
     `far_lever`, in shares of the points' depth.
     """
-    many, _ = problem.observations.select(problem.observations.longest(TRACKS_PER_VIEW))
+    many = problem.observations.longest(TRACKS_PER_VIEW)
     # what a lens of fewer terms leaves looks like a lever
     turned, priors = with_open_lens(problem, many, turned)
     begun = _begun(problem, turned, priors)
@@ -404,7 +404,7 @@ def _begun(problem: SelfCalibrationProblem, turned: SceneState, priors: Priors,
     seen, camera = problem.observations, turned.camera(*problem.size)
     begun = []
     for tracks_per_view in (FEW_TRACKS_PER_VIEW, TRACKS_PER_VIEW):
-        some, _ = seen.select(seen.longest(tracks_per_view))
+        some = seen.longest(tracks_per_view)
         coarse = bundle_of(some, problem.motion, priors, 5 * problem.noise_px)
         for state in problem.pivot.starts(coarse.blocks, some.xy, camera):
             state = coarse.refine_points(with_fixed(state, priors))

@@ -92,7 +92,7 @@ def _with_other_lever(fit: RobustFit, tried: Observations, problem: SelfCalibrat
     """Return what another lever of one stretch leads to, where that seems to explain more."""
     # hardly anything that is explained is a gross error, which would mislead a start
     kept = fit.observations
-    few, _ = kept.select(kept.longest(START_TRACKS_PER_VIEW))
+    few = kept.longest(START_TRACKS_PER_VIEW)
     followed = []
     for start in starts_about(fit, first, last):
         state = with_all_points(start, few)

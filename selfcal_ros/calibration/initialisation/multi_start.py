@@ -82,8 +82,7 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterable[Camera], as_affi
         Robust estimate of the noise there, pixels.
 
     """
-    mask = problem.observations.longest(START_TRACKS_PER_VIEW)
-    few, _ = problem.observations.select(mask)
+    few = problem.observations.longest(START_TRACKS_PER_VIEW)
     blocks = PointBlocks(few.point, few.view)
     for camera in proposals:
         priors = start_priors(problem, camera)
@@ -110,7 +109,7 @@ def closed_form(problem: SelfCalibrationProblem) -> list[Camera]:
     Empty where it does not apply: distortion and uneven ground upset it, which the bundle
     adjustment does not mind.
     """
-    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    few = problem.observations.longest(START_TRACKS_PER_VIEW)
     tracks = Tracks(few.view, few.point, few.xy, problem.size)
     estimate = fixed_points(tracks, limit=CLOSED_FORM_TRIPLETS)
     found = calibrate_estimate(estimate, problem.facts) if estimate else None

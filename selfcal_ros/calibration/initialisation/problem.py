@@ -149,5 +149,4 @@ def usual_matrix(problem: SelfCalibrationProblem) -> dict[str, Prior]:
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
     """Index the observations of tracks, no more than `TRACKS_PER_VIEW` of the longest a view."""
-    result = Observations.of(tracks, frames)
-    return result.select(result.longest(TRACKS_PER_VIEW))[0]
+    return Observations.of(tracks, frames).longest(TRACKS_PER_VIEW)

@@ -170,8 +170,7 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator, shift_px:
         return NoEstimate('window_disconnected')
     if graph.parallax < PARALLAX_RATIO:
         return NoEstimate('window_without_parallax')
-    observations = observations_of(graph.tracks, graph.frames)
-    observations, _ = observations.select(observations.longest(WINDOW_TRACKS_PER_VIEW))
+    observations = observations_of(graph.tracks, graph.frames).longest(WINDOW_TRACKS_PER_VIEW)
     if len(observations.track) < MIN_POINTS:
         return NoEstimate('window_few_points', points=len(observations.track))
     fitted = fit_window(graph, observations, camera, shift_px)

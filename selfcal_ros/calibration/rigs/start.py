@@ -362,8 +362,7 @@ def best_start(found: RigObservations, reference: Calibration,
 
     """
     cameras = len(found.cameras)
-    few, _ = found.observations.select(found.observations.longest(
-        START_TRACKS_PER_VIEW * cameras))
+    few = found.observations.longest(START_TRACKS_PER_VIEW * cameras)
     best, least = None, np.inf
     for placed in itertools.product(*choices):
         start = start_state(replace(found, observations=few), reference, placed)
