@@ -114,7 +114,7 @@ class TextureMemory:
                  projection: Projection, most_points: int = 48) -> None:
         """Lay a frame into each face."""
         self.projection, self.most_points = projection, int(most_points)
-        self._model, self._centre, model = visible, centre, visible.model
+        self._geometry, self._centre, model = visible, centre, visible.model
         self._faces = [lay_frame(model.vertices[list(face.indices)] - centre)
                        for face in model.faces]
         self._pixel = projection.camera.K
@@ -151,8 +151,8 @@ class TextureMemory:
         view = centre / math.sqrt(centre @ centre)
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
-            hidden = self._model.behind(self._samples, state.rotation,
-                                        state.translation - state.rotation @ self._centre)
+            hidden = self._geometry.behind(self._samples, state.rotation,
+                                           state.translation - state.rotation @ self._centre)
             self._open = (cosine > 0.5 * _MIN_COSINE) & (
                 hidden.reshape(len(self._faces), -1).mean(axis=1) < 0.4)
         self._visible = self._open & (cosine > _MIN_COSINE)
