@@ -45,6 +45,11 @@ def test_the_man_page_is_what_the_parsers_say():
     assert written == script('make_man').page(), 'run: PYTHONPATH=. python docs/make_man.py'
 
 
+def test_the_reference_is_what_the_docstrings_say(make_api):
+    written = (DOCS / 'api.md').read_text(encoding='utf-8')
+    assert written == make_api.page(), 'run: PYTHONPATH=. python docs/make_api.py'
+
+
 def headings(text):
     return re.findall(r'^#{2,3} (\S+)$', text, re.M)
 
