@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.centres import all_rays
-from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
+from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead, seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.point_of_rest import resting_near
@@ -206,7 +206,9 @@ def _decided(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rotatio
         fit = settle_zoom(fit, window.facts, window.size)
     model = shutter.widened(
         choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
-    fit = model.fit
+    # points go on to be placed anew: those behind the cameras would be put at infinity
+    fit = seen_ahead(model.fit)
+    model = replace(model, fit=fit)
     assert problem.pivot is not None
     problem = replace(problem, pivot=replace(problem.pivot,
                                              lever=fit.state.path.translation[0]))
