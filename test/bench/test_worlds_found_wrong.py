@@ -101,6 +101,15 @@ def test_three_views_of_a_hand_lie_in_no_plane():
 
 
 @pytest.mark.long
+def test_what_crosses_is_no_zoom():
+    """5.8 sigma off: where no body was found, a zoom that left half of it was preferred."""
+    result, worst = calibrated('gen_cross20', 9404)
+
+    assert result and result.focal is None, str(result)
+    assert worst < 2 and 'tracks_unexplained_whole' in [one.kind for one in result.findings]
+
+
+@pytest.mark.long
 def test_every_image_three_times_is_not_mirrored():
     """One pair that is seen from quite another side counted nine times, and looked mirrored."""
     result, worst = calibrated('gen_dup', 16002)

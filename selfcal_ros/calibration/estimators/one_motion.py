@@ -26,7 +26,8 @@ from functools import cached_property
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit, with_all_points
+from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
@@ -84,6 +85,8 @@ BESIDE_BENT = (1.0, 0.9, 1.1)
 #: unless shifts leave less than the second share of its noise. Stabilised images with things that
 #: move left 0.87 to 0.91 of it, and seemed to zoom by 4 to 6 %.
 BENDS_MOST, SHIFTED_LEAVES = max(BESIDE_BENT) / min(BESIDE_BENT), 0.8
+#: Motions of single views have six times the unknowns of a zoom, which may leave so much more.
+AS_LITTLE = 1.04
 
 
 def with_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
@@ -172,6 +175,9 @@ class OneMotion:
             # before what moves is taken for a zoom; rows read in turn move tracks, too
             still = calibrate_still_tracks(shutter.fit, self.medium, self.problem, self.graph,
                                            with_any_focal)
+            if still is None and shutter.fit.observations.moves_by_view:
+                still = (self._zooming_without_rows(first, shutter.fit)
+                         or self._parted_from_rows(first, shutter.fit))
             if still is not None:
                 return self._by_shifts(first, shutter.fit) or still
         return self._from(first, shutter, left)
@@ -180,6 +186,27 @@ class OneMotion:
         """Tell how the rows are read."""
         shutter = choose_shutter(first, self.medium, self.window.facts, self.window.size)
         return with_own_rows(shutter, self.medium, self.window.size)
+
+    def _zooming_without_rows(self, first: RobustFit, rows: RobustFit) -> Calibration | None:
+        """Calibrate a lens that zooms, if that leaves as little as motions of single views."""
+        if not self._may_zoom(self.problem):
+            return None
+        zoomed = zoomed_fit(first, self.window.instants)
+        state = with_all_points(zoomed.state, self.medium)
+        if state is None:
+            return None
+        zoomed = fit_robustly(self.medium, state, zoomed.motion, zoomed.bundle.priors,
+                              zoomed.bundle.sigma_px)
+        if zoomed.bundle.sigma_px > AS_LITTLE * rows.bundle.sigma_px:
+            return None
+        zooms = OneMotion(zooming(self.problem), self.graph, self.proposals, zoomed)
+        return zooms.result() or None
+
+    def _parted_from_rows(self, first: RobustFit, rows: RobustFit) -> Calibration | None:
+        """Calibrate without what moves, if that and no motion of single views explains it."""
+        bent = first.state.camera(*self.problem.size)
+        return calibrate_coherent_tracks(self.problem, self.graph, [bent], with_any_focal,
+                                         rows) or None
 
     def _by_shifts(self, first: RobustFit, fit: RobustFit, most: float = LEFT_AT_FIRST,
                    told_by: RobustFit | None = None) -> Calibration | None:

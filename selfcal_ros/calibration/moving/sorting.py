@@ -57,6 +57,8 @@ DRIFTS, FEW_DRIFTING = 1.25, 0.08
 #: it. True zooms and second cameras explain 0.99 and 0.9 and more; false zooms 0.68 to 0.88, or
 #: more if they are small, and 0.28 to 0.59.
 ALL, MOST_MOVING = 0.95, 0.75
+#: Where no body is found, what nothing explains counts as such, if it is more than this share.
+MUCH = 0.15
 #: A fit of all tracks that leaves less than this share of what another leaves of its still tracks
 #: alone explains more: what moves adds to the noise, and never takes from it.
 LESS_OF_ALL = 0.8
@@ -181,6 +183,8 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
     sigma_px = min(left_px, still.bundle.sigma_px)
     fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))
     moving = labels.track[labels.label >= MOVING]
+    if not len(moving) and labels.share('unexplained') > MUCH:
+        moving = labels.track[labels.label == UNEXPLAINED]
     return (explained_share(fine, given, labels.track[labels.label == STATIC]) > ALL
             and (not len(moving) or explained_share(fine, given, moving) > MOST_MOVING))
 
