@@ -100,6 +100,19 @@ def test_three_views_of_a_hand_lie_in_no_plane():
     assert worst < MAX_SIGMAS
 
 
+def test_a_long_drive_keeps_its_scale():
+    """Of 59 views 48 were fitted; the rest was chained anew, and lost a quarter of the scale."""
+    cases = load_worlds()
+    cases.C['agv_59_views'] = {
+        'base': 'agv', 'n': 59, 'hazard': 0.03,
+        'cam': cases.Cam(f=790, cx=314, cy=236, d=(-0.25, 0.02, -8e-4, 5e-4, 0))}
+
+    result, worst = calibrated('agv_59_views', 36)
+
+    assert result, str(result)
+    assert worst < 2 and not {'path_torn', 'tracks_jump'} & {one.kind for one in result.findings}
+
+
 @pytest.mark.long
 def test_what_crosses_is_no_zoom():
     """5.8 sigma off: where no body was found, a zoom that left half of it was preferred."""

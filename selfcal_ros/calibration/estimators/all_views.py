@@ -29,6 +29,7 @@ from selfcal_ros.calibration.estimators.acceptance import assess
 from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.zoom_selection import contradicted, over_all, settle_zoom
+from selfcal_ros.calibration.initialisation.continued_path import continued_path
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -52,8 +53,14 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     lens, priors = gentle_lens(model.fit, problem.facts, problem.size)
     bundle = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
     camera = replace(found, lens=lens).camera()
-    standing = [state if not model.exact else replace(state, path=state.path.flat())
-                for state in problem.starts(bundle.blocks, few.xy, camera)]
+    # chains of pairs drift in scale, and what was fitted does not
+    path = None if problem.pivot is not None else continued_path(
+        problem, replace(found, lens=lens), problem.first_fitted, START_TRACKS_PER_VIEW,
+        model.exact)
+    standing = problem.starts(bundle.blocks, few.xy, camera) if path is None else [
+        with_all_points(SceneState(lens, path), few)]
+    if model.exact:
+        standing = [replace(state, path=state.path.flat()) for state in standing]
     costs = [bundle.cost(state) for state in standing]
     if not np.isfinite(min(costs, default=np.inf)):
         return folded
@@ -73,7 +80,8 @@ def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibr
     if motion.parallel:
         motion = problem.motion.with_images_of(motion)
     motion = replace(motion, zoom=over_all(motion.zoom, problem))
-    problem = replace(problem, facts=model.facts, motion=motion)
+    problem = replace(problem, facts=model.facts, motion=motion,
+                      first_fitted=problem.first_of_window(len(model.fit.state.path)))
     if model.fit.observations.shutter is not None:
         observations, clock = problem.observations, model.fit.observations.clock
         if clock is not None and observations.clock is not None:

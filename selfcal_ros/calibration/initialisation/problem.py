@@ -58,7 +58,8 @@ class SelfCalibrationProblem:
     `bend` is that of the lens which the pairs show, for radii in half image diagonals; `instants`
     tell when each view was taken, in any unit; `is_weak` where the translations are small beside
     the rotations; `supposes_plane` where nobody said that the motion is planar; `of_still` where
-    the tracks are those that a first estimate found to stand still.
+    the tracks are those that a first estimate found to stand still; `first_fitted` is the first
+    view of the stretch on which the models were chosen.
     """
 
     observations: Observations
@@ -74,6 +75,7 @@ class SelfCalibrationProblem:
     is_weak: bool = False
     supposes_plane: bool = False
     of_still: bool = False
+    first_fitted: int = 0
 
     @property
     def views(self) -> int:
@@ -115,8 +117,7 @@ class SelfCalibrationProblem:
         """Return the stretch of so many views that turns most, this problem if it is short."""
         if self.views <= most:
             return self
-        turn = np.linalg.norm(self._turns(), axis=1)
-        first = int(np.argmax(np.convolve(turn, np.ones(most - 1), 'valid')))
+        first = self.first_of_window(most)
         last = first + most
         pairs = [replace(pair, first=pair.first - first, second=pair.second - first)
                  for pair in self.pairs if first <= pair.first and pair.second < last]
@@ -132,6 +133,13 @@ class SelfCalibrationProblem:
                        instants=self.instants[first:last], motion=self.motion.of_views(views),
                        observations=replace(within, view=within.view - first,
                                             clock=within.clock and within.clock.of_views(views)))
+
+    def first_of_window(self, most: int) -> int:
+        """Return the first view of the stretch of so many that turns most."""
+        if self.views <= most:
+            return 0
+        turn = np.linalg.norm(self._turns(), axis=1)
+        return int(np.argmax(np.convolve(turn, np.ones(most - 1), 'valid')))
 
 
 def start_priors(problem: SelfCalibrationProblem, camera: Camera) -> Priors:
