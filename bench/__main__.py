@@ -44,6 +44,7 @@ GROUPS = {
         'suppositions': 'wrong facts, two cameras, mirrored images, a prism: named or silent',
         'rough_shares': 'sigmas true beside rolling shutter, zoom, levers, wrong facts? hours',
         'further_worlds': 'bad days beside the shared ones: turned, torn, rounded, two at once',
+        'other_values': 'the shared kinds with other values, cameras and more views',
         'mixed_worlds': 'worlds drawn at random from all troubles at once: right, or refused',
         'everyday': 'drones, arms, cars, walkers and more, with troubles: right, or refused',
         'loops': 'drives that go round or pause on the way: right, or refused',
