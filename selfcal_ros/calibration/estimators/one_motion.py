@@ -85,8 +85,9 @@ BESIDE_BENT = (1.0, 0.9, 1.1)
 #: unless shifts leave less than the second share of its noise. Stabilised images with things that
 #: move left 0.87 to 0.91 of it, and seemed to zoom by 4 to 6 %.
 BENDS_MOST, SHIFTED_LEAVES = max(BESIDE_BENT) / min(BESIDE_BENT), 0.8
-#: Motions of single views have six times the unknowns of a zoom, which may leave so much more.
-AS_LITTLE = 1.04
+#: Motions of single views have six times the unknowns of a zoom, and shifts of them twice as many:
+#: a zoom that leaves no more than so much times what they leave explains better.
+AS_ROWS, AS_SHIFTS = 1.04, 1.01
 
 
 def with_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
@@ -189,18 +190,20 @@ class OneMotion:
 
     def _zooming_without_rows(self, first: RobustFit, rows: RobustFit) -> Calibration | None:
         """Calibrate a lens that zooms, if that leaves as little as motions of single views."""
-        if not self._may_zoom(self.problem):
-            return None
-        zoomed = zoomed_fit(first, self.window.instants)
-        state = with_all_points(zoomed.state, self.medium)
-        if state is None:
-            return None
-        zoomed = fit_robustly(self.medium, state, zoomed.motion, zoomed.bundle.priors,
-                              zoomed.bundle.sigma_px)
-        if zoomed.bundle.sigma_px > AS_LITTLE * rows.bundle.sigma_px:
+        zoomed = self._zoomed_from(first)
+        if zoomed is None or zoomed.bundle.sigma_px > AS_ROWS * rows.bundle.sigma_px:
             return None
         zooms = OneMotion(zooming(self.problem), self.graph, self.proposals, zoomed)
         return zooms.result() or None
+
+    def _zoomed_from(self, first: RobustFit) -> RobustFit | None:
+        """Fit a lens that zooms to all that a fit was to explain; None if it may not zoom."""
+        if not self._may_zoom(self.problem) or first.motion.zoom is not None:
+            return None
+        zoomed = zoomed_fit(first, self.window.instants)
+        state = with_all_points(zoomed.state, self.medium)
+        return None if state is None else fit_robustly(
+            self.medium, state, zoomed.motion, zoomed.bundle.priors, zoomed.bundle.sigma_px)
 
     def _parted_from_rows(self, first: RobustFit, rows: RobustFit) -> Calibration | None:
         """Calibrate without what moves, if that and no motion of single views explains it."""
@@ -217,6 +220,9 @@ class OneMotion:
         shutter = choose_shutter(shifted, self.medium, self.window.facts, self.window.size)
         if (shutter.fit.bundle.sigma_px > most * fit.bundle.sigma_px
                 or not are_within_crop(shutter.fit, self.window.size)):
+            return None
+        zoomed = self._zoomed_from(first)
+        if zoomed is not None and zoomed.bundle.sigma_px < AS_SHIFTS * shutter.fit.bundle.sigma_px:
             return None
         return self._from(shifted, shutter, None) or None
 
