@@ -57,8 +57,9 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     path = None if problem.pivot is not None else continued_path(
         problem, replace(found, lens=lens), problem.first_fitted, START_TRACKS_PER_VIEW,
         model.exact)
-    standing = problem.starts(bundle.blocks, few.xy, camera) if path is None else [
-        with_all_points(SceneState(lens, path), few)]
+    continued = None if path is None else with_all_points(SceneState(lens, path), few)
+    standing = (problem.starts(bundle.blocks, few.xy, camera) if continued is None else
+                [continued])
     if model.exact:
         standing = [replace(state, path=state.path.flat()) for state in standing]
     costs = [bundle.cost(state) for state in standing]

@@ -15,8 +15,8 @@
 A path that is known of some successive views, continued to all of them.
 
 Chains of pairs lose their scale where the camera turns much and moves little, and pairs before a
-wall have no one geometry. So each further view is resected from the points that the views before
-it show, and a few of them at a time are adjusted with those next to them.
+wall have no one geometry. So each further view is resected from the points of the views before it.
+A few of them at a time are adjusted with those next to them.
 """
 
 from __future__ import annotations
@@ -76,18 +76,19 @@ def continued_path(problem: SelfCalibrationProblem, known: SceneState, first: in
     poses[first:last] = path.cam_from_world()
     while first > 0 or last < problem.views:
         backward = first > 0
-        new = (np.arange(first - 1, max(first - ADDED, 0) - 1, -1) if backward else
-               np.arange(last, min(last + ADDED, problem.views)))
+        new = (range(first - 1, max(first - ADDED, 0) - 1, -1) if backward else
+               range(last, min(last + ADDED, problem.views)))
         for view in new:
-            beside = (np.arange(view + 1, min(view + 1 + BESIDE, last)) if backward else
-                      np.arange(max(view - BESIDE, first), view)[::-1])
+            beside = (range(view + 1, min(view + 1 + BESIDE, last)) if backward else
+                      range(view - 1, max(view - BESIDE, first) - 1, -1))
             pose = _resected(few, rays, poses, view, beside)
             if pose is None:
                 return None
             poses[view] = pose
             first, last = min(first, view), max(last, view + 1)
-        stretch = (np.arange(first, min(first + len(new) + BESIDE, last))[::-1] if backward else
-                   np.arange(max(last - len(new) - BESIDE, first), last))
+        stretch = np.array(
+            range(min(first + len(new) + BESIDE, last) - 1, first - 1, -1) if backward else
+            range(max(last - len(new) - BESIDE, first), last))
         adjusted = _adjusted(problem, few, known, poses, stretch, exact)
         if adjusted is None:
             return None
@@ -96,10 +97,10 @@ def continued_path(problem: SelfCalibrationProblem, known: SceneState, first: in
 
 
 def _resected(few: Observations, rays: np.ndarray, poses: np.ndarray, view: int,
-              beside: np.ndarray) -> np.ndarray | None:
+              beside: range) -> np.ndarray | None:
     """Return the pose (3, 4) of a view from the points of views beside it, the nearest first."""
     seen = np.zeros(len(poses), bool)
-    seen[beside] = True
+    seen[list(beside)] = True
     mine = np.flatnonzero(few.view == view)
     here = np.full(len(few.track), -1)
     here[few.point[mine]] = mine
@@ -141,8 +142,8 @@ def _adjusted(problem: SelfCalibrationProblem, few: Observations, known: SceneSt
     bundle = bundle_of(within, motion, all_fixed(known.lens), COARSE * problem.noise_px)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
-    state = bundle.optimise(state, iterations=ITERATIONS, tolerance=TO_GO_ON)
-    return state.path.cam_from_world()[stretch - views[0]]
+    adjusted = bundle.optimise(state, iterations=ITERATIONS, tolerance=TO_GO_ON).path
+    return np.asarray(adjusted.cam_from_world()[stretch - views[0]])
 
 
 def _like(poses: np.ndarray, others: np.ndarray, shared: int) -> np.ndarray:
