@@ -37,6 +37,8 @@ TOLD = ('fact_contradicted', 'fact_contradicted_too', 'fact_doubtful', 'fact_unc
         'two_cameras', 'other_camera_left_out')
 #: Kinds with a drive, a hand before a cloud of points, or a hand in the room.
 BASES = {'hand': 'gen', 'walk': 'genroom', 'drive': 'agv'}
+#: Frames of the simulation where nothing else is said.
+VIEWS = 20
 #: Draws a number between two.
 Draw = Callable[[float, float], float]
 
@@ -103,7 +105,7 @@ def _camera(draw: Draw):
         k1, 0.6 * k1 * k1 + draw(-0.02, 0.02), draw(-1e-3, 1e-3), draw(-1e-3, 1e-3), 0))
 
 
-def build(kind: str, base: str, seed: int) -> tuple[World, dict, Callable | None] | None:
+def build(kind: str, base: str, seed: int) -> tuple[World, dict, np.ndarray | None] | None:
     """
     Build a world.
 
@@ -112,9 +114,9 @@ def build(kind: str, base: str, seed: int) -> tuple[World, dict, Callable | None
     World
     dict
         The facts that are stated.
-    callable or None
-        The factor of the focal length by time, if it varies. None in place of all three where
-        nothing is seen.
+    ndarray or None
+        The factor of the focal length of each frame, if it varies. None in place of all three
+        where nothing is seen.
 
     """
     cases = load_worlds()
@@ -131,16 +133,18 @@ def build(kind: str, base: str, seed: int) -> tuple[World, dict, Callable | None
         case = cases.build(name, seed)
     except ValueError:
         return None
-    return World.of(case), case['facts'], options.get('fs')
+    # its last frames may show nothing: time is that of all
+    times = np.linspace(0, 1, options.get('n', VIEWS))
+    factor = np.array([options['fs'](time) for time in times]) if 'fs' in options else None
+    return World.of(case), case['facts'], factor
 
 
-def away(world: World, result: Calibration, factor: Callable | None) -> float:
+def away(world: World, result: Calibration, factor: np.ndarray | None) -> float:
     """Largest deviation in stated sigmas: of K, or of every view's focal length if it varies."""
     if factor is None:
         return world.away(result)
-    course, last = result.focal, world.frame.max()
-    frames = result.frames if course is None else course.frames
-    true = world.truth[0] * np.array([factor(frame / last) for frame in frames])
+    course = result.focal
+    true = world.truth[0] * factor[np.asarray(result.frames if course is None else course.frames)]
     if course is None:
         # constant over the views that were used, or else one of them is far off
         focal_px = result.camera.parameters[0]
