@@ -399,7 +399,7 @@ def test_a_false_zoom_moves_what_stands_still(seed):
     names = np.unique(tracks.track)
     labels = TrackLabels(names, np.where(names < 90, STATIC, 4), 1)
     false = zoomed_fit(fit, tuple(range(VIEWS)))
-    assert not explains_all(false, still, tracks, labels)
+    assert not explains_all(false, still.bundle.sigma_px, tracks, labels)
     assert explained_share(false, tracks, names[names < 90]) < 0.95
 
     # one that is true keeps all that a constant one explains
@@ -409,7 +409,7 @@ def test_a_false_zoom_moves_what_stands_still(seed):
     constant = fitted(magnified, path)
     true = zoomed_fit(constant, tuple(range(VIEWS)))
     of_still = names[names < 90]
-    assert explains_all(true, constant, magnified,
+    assert explains_all(true, constant.bundle.sigma_px, magnified,
                         TrackLabels(of_still, np.full(len(of_still), STATIC), 0))
     assert explained_share(true, magnified, of_still) > 0.98
 
@@ -431,7 +431,7 @@ def test_what_leaves_less_of_all_tracks_than_others_of_still_ones_is_no_rival(se
 
     assert explained_share(zoomed, magnified, names) < 0.95
     assert zoomed.bundle.noise_rms(zoomed.state) < 0.8 * constant.bundle.sigma_px
-    assert explains_all(zoomed, constant, magnified, labels)
+    assert explains_all(zoomed, constant.bundle.sigma_px, magnified, labels)
 
 
 @pytest.mark.parametrize('seed', range(31, 35))

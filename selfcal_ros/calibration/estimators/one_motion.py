@@ -64,10 +64,12 @@ from selfcal_ros.calibration.initialisation.problem import (ROUND_WINDOWS,
                                                             SelfCalibrationProblem,
                                                             WINDOW_VIEWS)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.moving.sorting import explains_all
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.values.track_labels import MOVING
 
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
@@ -144,20 +146,20 @@ class OneMotion:
     def with_any_focal(self) -> Calibration | NoEstimate:
         """Calibrate with a focal length that is constant if that is possible, else with any."""
         if self.problem.facts.focal == 'varying' and self.problem.instants:
-            return self._zooming().result()
+            return self._zooming(None).result()
         result = self.result()
         if not result and result.kind in UNEXPLAINED and self.window.turns_round():
             few = replace(self, window_views=ROUND_WINDOWS[0]).result()
             result = few or result
         if (self._may_zoom(self.problem) and not result and result.kind in UNEXPLAINED
                 and not result.values.get('zooms', False)):
-            zoomed = self._zooming().result()
+            zoomed = self._zooming(None).result()
             result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
         return result
 
-    def _zooming(self) -> OneMotion:
-        """Return the same search with a focal length that varies."""
-        return OneMotion(zooming(self.problem), self.graph, self.proposals, None)
+    def _zooming(self, near: RobustFit | None) -> OneMotion:
+        """Return the same search with a focal length that varies, near a fit if there is one."""
+        return OneMotion(zooming(self.problem), self.graph, self.proposals, near)
 
     def result(self) -> Calibration | NoEstimate:
         """Return the calibration, or why there is none."""
@@ -179,6 +181,8 @@ class OneMotion:
             if still is None and shutter.fit.observations.moves_by_view:
                 still = (self._zooming_without_rows(first, shutter.fit)
                          or self._parted_from_rows(first, shutter.fit))
+            elif still is not None:
+                still = self._zooming_with_all(first, still) or still
             if still is not None:
                 return self._by_shifts(first, shutter.fit) or still
         return self._from(first, shutter, left)
@@ -193,8 +197,19 @@ class OneMotion:
         zoomed = self._zoomed_from(first)
         if zoomed is None or zoomed.bundle.sigma_px > AS_ROWS * rows.bundle.sigma_px:
             return None
-        zooms = OneMotion(zooming(self.problem), self.graph, self.proposals, zoomed)
-        return zooms.result() or None
+        return self._zooming(zoomed).result() or None
+
+    def _zooming_with_all(self, first: RobustFit, still: Calibration) -> Calibration | None:
+        """Calibrate a lens that zooms, if that explains what was taken for things that move."""
+        labels, given = still.labels, self.graph.given
+        if labels is None or given is None or not np.any(labels.label >= MOVING):
+            return None
+        zoomed = self._zoomed_from(first)
+        frames = np.array(self.window.instants, dtype=int)
+        if zoomed is None or not explains_all(zoomed, still.noise_sigma_px,
+                                              given.in_frames(frames), labels):
+            return None
+        return self._zooming(zoomed).result() or None
 
     def _zoomed_from(self, first: RobustFit) -> RobustFit | None:
         """Fit a lens that zooms to all that a fit was to explain; None if it may not zoom."""

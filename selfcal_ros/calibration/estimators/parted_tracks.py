@@ -110,7 +110,8 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
         if may_zoom(problem) and contradicted(fit, problem):
             rival = zoomed_fit(fit, problem.instants)
     # what stands still without a zoom stands still with it, too, if there is one
-    if rival is not None and explains_all(rival, still, given, sorted_tracks.labels):
+    if rival is not None and explains_all(
+            rival, still.bundle.sigma_px, given, sorted_tracks.labels):
         return None
     # what is explained is no outlier, and has no vote any more
     rest = replace(graph, tracks=sorted_tracks.static, given=None,

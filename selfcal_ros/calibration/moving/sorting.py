@@ -168,19 +168,19 @@ def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> floa
     return float(test.explained[mine].mean()) if mine.any() else 0.0
 
 
-def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: TrackLabels) -> bool:
+def explains_all(rival: RobustFit, still_px: float, given: Tracks, labels: TrackLabels) -> bool:
     """
     Tell whether a fit explains what another parts into still and moving, by the less noise.
 
     A model with more freedom may be the true one. Then all points that stand by the other stand by
     it, too, but for chance, and what seemed to move stands still. If things that move have bent
     it, it explains neither. The other may lack what both need, as rows that are read in turn. Then
-    it leaves more of its still tracks than the rival leaves of all.
+    it leaves more of its still tracks, in pixels, than the rival leaves of all.
     """
     left_px = rival.bundle.noise_rms(rival.state)
-    if left_px < LESS_OF_ALL * still.bundle.sigma_px:
+    if left_px < LESS_OF_ALL * still_px:
         return True
-    sigma_px = min(left_px, still.bundle.sigma_px)
+    sigma_px = min(left_px, still_px)
     fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))
     moving = labels.track[labels.label >= MOVING]
     if not len(moving) and labels.share('unexplained') > MUCH:
