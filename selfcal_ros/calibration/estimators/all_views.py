@@ -19,6 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.deleted_tracks import without_hidden_errors
 from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
@@ -112,6 +113,7 @@ def fit_all(problem: SelfCalibrationProblem, model: ModelDecision) -> RobustFit 
         return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, problem.facts, problem.size)
+    fit = without_hidden_errors(fit)
     return seen_ahead(fit) if problem.is_weak else fit
 
 
