@@ -25,10 +25,12 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit, with_all_points
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND
 from selfcal_ros.calibration.estimators.zoom_selection import nearer
-from selfcal_ros.calibration.initialisation.multi_start import starts
+from selfcal_ros.calibration.initialisation.continued_path import continued_path
+from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW, starts
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.findings.finding import Finding
 
@@ -37,6 +39,12 @@ TORN_SHARE = 0.25
 #: So many tracks pass a view, or nothing is said of it: before a fit is begun anew, where a false
 #: alarm costs time alone, and before a user is told.
 LEAST_TRACKS, LEAST_TOLD = 3, 12
+#: A view of which less than this share is kept, of what is kept of most views, is not where it
+#: should be. It is not asked where fewer of all observations are rejected.
+WEAK, FEW_REJECTED = 0.8, 0.03
+#: A path is continued from so many stretches of sound views, the longest, of so many views at
+#: least; and so many times, while that explains more.
+MOST_STRETCHES, LEAST_VIEWS, ROUNDS = 3, 4, 3
 
 
 def passing_shares(tried: Observations, kept: Observations, views: int,
@@ -93,17 +101,66 @@ def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem)
     -------
     RobustFit
         Begun anew with the calibration that was found, if `fit` is torn or has points behind its
-        views, and that explains more.
+        views, and that explains more; and continued from where it is sound.
 
     """
     inside_out = problem.pivot is None and share_behind(fit) > MAX_BEHIND
-    if not inside_out and not is_torn(tried, fit.observations, problem.views):
-        return fit
-    for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
-        state = with_all_points(start, tried)
-        if state is not None:
-            fit = nearer(fit, first_fit(problem, tried, state), tried)
+    if inside_out or is_torn(tried, fit.observations, problem.views):
+        for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
+            state = with_all_points(start, tried)
+            if state is not None:
+                fit = nearer(fit, first_fit(problem, tried, state), tried)
+    if problem.pivot is None and problem.flat is None:
+        for _ in range(ROUNDS):
+            before = fit
+            fit = _continued(fit, tried, problem)
+            if fit is before:
+                break
     return fit
+
+
+def _continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem) -> RobustFit:
+    """Continue a path from where it is sound to its weak views, if that explains more."""
+    best, state = fit, fit.state
+    if fit.outliers < FEW_REJECTED * len(tried.view) or state.zoom is not None:
+        return fit
+    for first, last in sound_stretches(fit, tried)[:MOST_STRETCHES]:
+        known = SceneState(state.lens, state.path.of_views(np.arange(first, last + 1)))
+        path = continued_path(problem, known, first, START_TRACKS_PER_VIEW, exact=False)
+        anew = None if path is None else with_all_points(
+            SceneState(state.lens, path.aligned(problem.motion)), tried)
+        if anew is not None:
+            best = nearer(best, first_fit(problem, tried, anew), tried)
+    return best
+
+
+def sound_stretches(fit: RobustFit, tried: Observations) -> list[tuple[int, int]]:
+    """
+    Find the stretches of successive views between those of which a fit has rejected much.
+
+    Parameters
+    ----------
+    fit : RobustFit
+    tried : Observations
+        That it began with.
+
+    Returns
+    -------
+    list of (int, int)
+        First and last view of each, the longest stretch first; none where no view is weak.
+
+    """
+    views, found = len(fit.state.path), fit.observations
+    kept = (np.bincount(found.view, minlength=views)
+            / np.maximum(np.bincount(tried.view, minlength=views), 1))
+    share = np.fmin(kept, passing_shares(tried, found, views))
+    sound = share > WEAK * np.percentile(share, 75)
+    if sound.all():
+        return []
+    edges = np.flatnonzero(np.diff(np.r_[False, sound, False]))
+    stretches = [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2])
+                 if end - first >= LEAST_VIEWS]
+    return sorted(stretches, key=lambda one: one[0] - one[1])
 
 
 def torn_findings(tried: Observations, kept: Observations, frames: np.ndarray,
