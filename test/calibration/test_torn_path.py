@@ -20,11 +20,11 @@ import pytest
 from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
-from selfcal_ros.calibration.bundle.robust_fit import with_all_points
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.torn_path import (is_torn, mended, passing_shares,
-                                                          torn_findings)
+                                                          sound_stretches, torn_findings)
 from selfcal_ros.calibration.initialisation.multi_start import starts
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.synthetic.special_scenes import drive
@@ -97,6 +97,44 @@ def test_a_part_that_is_inside_out_is_mended(scene):
     assert not is_torn(tried, fit.observations, VIEWS)
     whole = mended(fit, tried, problem)
     assert share_behind(whole) == 0 and whole.bundle.sigma_px < 0.15
+
+
+def without_a_view(fit, tried, view):
+    """Reject most of what a view shows, as if it were where nothing fits."""
+    found = fit.observations
+    kept, points = found.select((found.view != view) | (found.point % 5 == 0))
+    bundle = bundle_of(kept, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+    return replace(fit, bundle=bundle, observations=kept,
+                   outliers=len(tried.view) - len(kept.view),
+                   state=replace(fit.state, points=fit.state.points[points]))
+
+
+def test_a_view_that_is_where_nothing_fits_is_placed_anew(scene):
+    """The rest of the path is sound, but the view keeps what agrees by chance."""
+    sequence, problem, start = scene
+    tried = problem.observations
+    sound = first_fit(problem, tried, with_all_points(start, tried))
+    fit = without_a_view(sound, tried, 5)
+    centres = fit.state.path.centres()
+    centres[5] += [0.8, 0.3, -0.6]
+    fit = replace(fit, state=replace(fit.state, path=fit.state.path.placed_at(centres)))
+    assert not is_torn(tried, fit.observations, VIEWS)
+    assert unevenness(fit.state.path, sequence) > 2
+
+    whole = mended(fit, tried, problem)
+
+    assert unevenness(whole.state.path, sequence) < 1.02
+    assert whole.outliers < 0.01 * len(tried.view)
+
+
+def test_stretches_are_those_between_weak_views(scene):
+    _, problem, start = scene
+    tried = problem.observations
+    fit = first_fit(problem, tried, with_all_points(start, tried))
+    assert sound_stretches(fit, tried) == []
+
+    (first, last), (begin, end) = sound_stretches(without_a_view(fit, tried, 5), tried)
+    assert last == VIEWS - 1 and begin == 0 and end < 5 < first < 8
 
 
 @pytest.mark.parametrize('offset', [2**40, -300])

@@ -21,6 +21,8 @@ outliers. Where scale drifts through zero, a part is inside out: its points lie 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from selfcal_ros.calibration.bundle.depths import share_behind
@@ -33,6 +35,7 @@ from selfcal_ros.calibration.initialisation.continued_path import continued_path
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW, starts
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.projective import lengths
 
 #: Of the tracks that pass a view, a sound fit keeps half at least, and a torn one hardly any.
 TORN_SHARE = 0.25
@@ -40,10 +43,10 @@ TORN_SHARE = 0.25
 #: alarm costs time alone, and before a user is told.
 LEAST_TRACKS, LEAST_TOLD = 3, 12
 #: A view of which less than this share is kept, of what is kept of most views, is not where it
-#: should be. It is not asked where fewer of all observations are rejected.
-WEAK, FEW_REJECTED = 0.8, 0.03
-#: A path is continued from so many stretches of sound views, the longest, of so many views at
-#: least; and so many times, while that explains more.
+#: should be; nor one that leaves so many times what the quarter of views leaves that leaves least.
+WEAK, LOUD = 0.8, 1.3
+#: A path is continued from so many stretches of sound views of each kind, the longest, of so many
+#: views at least; and so many times, while that explains more.
 MOST_STRETCHES, LEAST_VIEWS, ROUNDS = 3, 4, 3
 
 
@@ -121,14 +124,15 @@ def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem)
 
 def _continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem) -> RobustFit:
     """Continue a path from where it is sound to its weak views, if that explains more."""
-    best, state = fit, fit.state
-    if fit.outliers < FEW_REJECTED * len(tried.view) or state.zoom is not None:
-        return fit
-    for first, last in sound_stretches(fit, tried)[:MOST_STRETCHES]:
+    best, state, seen = fit, fit.state, problem.observations
+    # as a camera of one focal length would see it
+    steady = replace(problem, motion=replace(problem.motion, zoom=None), observations=replace(
+        seen, xy=state.steadied(seen.xy, seen.view)))
+    for first, last in sound_stretches(fit, tried):
         known = SceneState(state.lens, state.path.of_views(np.arange(first, last + 1)))
-        path = continued_path(problem, known, first, START_TRACKS_PER_VIEW, exact=False)
+        path = continued_path(steady, known, first, START_TRACKS_PER_VIEW, exact=False)
         anew = None if path is None else with_all_points(
-            SceneState(state.lens, path.aligned(problem.motion)), tried)
+            replace(state, path=path.aligned(problem.motion)), tried)
         if anew is not None:
             best = nearer(best, first_fit(problem, tried, anew), tried)
     return best
@@ -136,7 +140,7 @@ def _continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProb
 
 def sound_stretches(fit: RobustFit, tried: Observations) -> list[tuple[int, int]]:
     """
-    Find the stretches of successive views between those of which a fit has rejected much.
+    Find the stretches of successive views between those that a fit explains badly.
 
     Parameters
     ----------
@@ -147,20 +151,24 @@ def sound_stretches(fit: RobustFit, tried: Observations) -> list[tuple[int, int]
     Returns
     -------
     list of (int, int)
-        First and last view of each, the longest stretch first; none where no view is weak.
+        First and last view of each, the longest stretches first: of views that keep what they
+        show, and of those that leave little of it, too. None where no view is weak.
 
     """
     views, found = len(fit.state.path), fit.observations
-    kept = (np.bincount(found.view, minlength=views)
-            / np.maximum(np.bincount(tried.view, minlength=views), 1))
+    count = np.maximum(np.bincount(found.view, minlength=views), 1)
+    kept = count / np.maximum(np.bincount(tried.view, minlength=views), 1)
     share = np.fmin(kept, passing_shares(tried, found, views))
-    sound = share > WEAK * np.percentile(share, 75)
-    if sound.all():
-        return []
-    edges = np.flatnonzero(np.diff(np.r_[False, sound, False]))
-    stretches = [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2])
-                 if end - first >= LEAST_VIEWS]
-    return sorted(stretches, key=lambda one: one[0] - one[1])
+    rms = np.sqrt(np.bincount(
+        found.view, lengths(fit.bundle.residuals(fit.state))**2, views) / count)
+    keeps = share > WEAK * np.percentile(share, 75)
+    stretches: dict[tuple[int, int], None] = {}
+    for sound in (keeps, keeps & (rms < LOUD * np.percentile(rms, 25))):
+        edges = np.flatnonzero(np.diff(np.r_[False, sound, False]))
+        some = [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2])
+                if LEAST_VIEWS <= end - first < views]
+        stretches |= dict.fromkeys(sorted(some, key=lambda one: one[0] - one[1])[:MOST_STRETCHES])
+    return list(stretches)
 
 
 def torn_findings(tried: Observations, kept: Observations, frames: np.ndarray,
