@@ -48,6 +48,9 @@ WEAK, LOUD = 0.8, 1.3
 #: A path is continued from so many stretches of sound views of each kind, the longest, of so many
 #: views at least; and so many times, while that explains more.
 MOST_STRETCHES, LEAST_VIEWS, ROUNDS = 3, 4, 3
+#: It is another path if it rejects fewer of the observations by this share, or leaves less than
+#: this share of the noise. Else it is the same, with other outliers by chance.
+FEWER, LESS = 0.01, 0.97
 
 
 def passing_shares(tried: Observations, kept: Observations, views: int,
@@ -133,8 +136,12 @@ def _continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProb
         path = continued_path(steady, known, first, START_TRACKS_PER_VIEW, exact=False)
         anew = None if path is None else with_all_points(
             replace(state, path=path.aligned(problem.motion)), tried)
-        if anew is not None:
-            best = nearer(best, first_fit(problem, tried, anew), tried)
+        if anew is None:
+            continue
+        other = first_fit(problem, tried, anew)
+        if (other.outliers < fit.outliers - FEWER * len(tried.view)
+                or other.bundle.sigma_px < LESS * fit.bundle.sigma_px):
+            best = nearer(best, other, tried)
     return best
 
 
@@ -163,7 +170,7 @@ def sound_stretches(fit: RobustFit, tried: Observations) -> list[tuple[int, int]
         found.view, lengths(fit.bundle.residuals(fit.state))**2, views) / count)
     keeps = share > WEAK * np.percentile(share, 75)
     stretches: dict[tuple[int, int], None] = {}
-    for sound in (keeps, keeps & (rms < LOUD * np.percentile(rms, 25))):
+    for sound in (keeps, keeps & (rms < LOUD * np.nanpercentile(rms, 25))):
         edges = np.flatnonzero(np.diff(np.r_[False, sound, False]))
         some = [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2])
                 if LEAST_VIEWS <= end - first < views]
