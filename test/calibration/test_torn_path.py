@@ -23,8 +23,9 @@ from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_problem import problem_of
-from selfcal_ros.calibration.estimators.torn_path import (is_torn, mended, passing_shares,
-                                                          sound_stretches, torn_findings)
+from selfcal_ros.calibration.estimators.torn_path import (continued, is_torn, mended,
+                                                          passing_shares, sound_stretches,
+                                                          torn_findings)
 from selfcal_ros.calibration.initialisation.multi_start import starts
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.synthetic.special_scenes import drive
@@ -121,7 +122,7 @@ def test_a_view_that_is_where_nothing_fits_is_placed_anew(scene):
     assert not is_torn(tried, fit.observations, VIEWS)
     assert unevenness(fit.state.path, sequence) > 2
 
-    whole = mended(fit, tried, problem)
+    whole = continued(fit, tried, problem)
 
     assert unevenness(whole.state.path, sequence) < 1.02
     assert whole.outliers < 0.01 * len(tried.view)

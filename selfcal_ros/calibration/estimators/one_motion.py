@@ -53,7 +53,7 @@ from selfcal_ros.calibration.estimators.parted_tracks import (
 from selfcal_ros.calibration.estimators.own_rows_choice import with_own_rows
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                ShutterDecision)
-from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
+from selfcal_ros.calibration.estimators.torn_path import continued, mended, torn_findings
 from selfcal_ros.calibration.estimators.turning_stretch import turned_about
 from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
@@ -302,7 +302,9 @@ class OneMotion:
         if near is not None:
             fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state),
                          medium)
-        fit = mended(turned_about(fit, medium, window), medium, window)
+        # a torn path seems to turn on the spot
+        fit = turned_about(continued(fit, medium, window), medium, window)
+        fit = mended(fit, medium, window)
         if problem.motion.keeps_plane:
             # before what the plane forbids is taken for something else
             fit = as_uneven_as_told(fit, medium)

@@ -107,25 +107,34 @@ def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem)
     -------
     RobustFit
         Begun anew with the calibration that was found, if `fit` is torn or has points behind its
-        views, and that explains more; and continued from where it is sound.
+        views, and that explains more.
 
     """
     inside_out = problem.pivot is None and share_behind(fit) > MAX_BEHIND
-    if inside_out or is_torn(tried, fit.observations, problem.views):
-        for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
-            state = with_all_points(start, tried)
-            if state is not None:
-                fit = nearer(fit, first_fit(problem, tried, state), tried)
-    if problem.pivot is None and problem.flat is None:
-        for _ in range(ROUNDS):
-            before = fit
-            fit = _continued(fit, tried, problem)
-            if fit is before:
-                break
+    if not inside_out and not is_torn(tried, fit.observations, problem.views):
+        return fit
+    before = fit
+    for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
+        state = with_all_points(start, tried)
+        if state is not None:
+            fit = nearer(fit, first_fit(problem, tried, state), tried)
+    return fit if fit is before else continued(fit, tried, problem)
+
+
+def continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem) -> RobustFit:
+    """Continue a path from where it is sound, while that explains more; see `mended`."""
+    if problem.pivot is not None or problem.flat is not None:
+        return fit
+    for _ in range(ROUNDS):
+        before = fit
+        fit = _once_continued(fit, tried, problem)
+        if fit is before:
+            break
     return fit
 
 
-def _continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem) -> RobustFit:
+def _once_continued(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem,
+                    ) -> RobustFit:
     """Continue a path from where it is sound to its weak views, if that explains more."""
     best, state, seen = fit, fit.state, problem.observations
     # as a camera of one focal length would see it
