@@ -119,7 +119,7 @@ def test_what_crosses_is_no_zoom():
     result, worst = calibrated('gen_cross20', 9404)
 
     assert result and result.focal is None, str(result)
-    assert worst < 2 and 'tracks_unexplained_whole' in [one.kind for one in result.findings]
+    assert worst < 2 and 'tracks_moving' in [one.kind for one in result.findings]
 
 
 @pytest.mark.long
