@@ -73,15 +73,12 @@ def deleted_tracks(fit: RobustFit) -> DeletedTracks:
     predictions of its observations over that of their noise, once its point is eliminated (R. D.
     Cook and S. Weisberg 1982, Residuals and Influence in Regression, 2.2.1 and 3.6).
     """
-    bundle, lin, found = fit.bundle, fit.linearisation, fit.information
-    root, blocks = bundle.root_weights(lin), bundle.blocks
-    jac_rest = np.concatenate([lin.shared, lin.view], axis=2) * root[..., None]
-    m, width = jac_rest.shape[1:]
-    shared = lin.shared.shape[2]
+    blocks, unknowns, found = fit.bundle.blocks, fit.bundle.unknowns, fit.information
+    system = found.system
+    m, width = system.jac_rest.shape[1:]
+    every, by_view = np.arange(len(unknowns))[unknowns.shared], unknowns.by_view
     # rows of the points' derivatives that are orthonormal in each track
-    through = np.einsum('nmk,njk->nmj', lin.eliminated * root[..., None],
-                        found.system.inverse_root[blocks.point])
-    residual = lin.residual * root
+    through = np.einsum('nmk,njk->nmj', system.jac_point, system.inverse_root[blocks.point])
     parts = []
     for length in np.unique(blocks.length[blocks.length <= MOST_VIEWS]):
         members = np.flatnonzero(blocks.length == length)
@@ -89,17 +86,15 @@ def deleted_tracks(fit: RobustFit) -> DeletedTracks:
             some = members[at:at + _AT_A_TIME]
             rows = blocks.first[some][:, None] + np.arange(length)
             size = m * int(length)
-            places = np.concatenate([
-                np.broadcast_to(np.arange(shared), (*rows.shape, shared)),
-                shared + blocks.view[rows][..., None] * (width - shared) + np.arange(
-                    width - shared)], axis=2)
-            forms = csr_array((jac_rest[rows].ravel(), np.repeat(places, m, axis=1).ravel(),
+            places = np.concatenate([np.broadcast_to(every, (*rows.shape, len(every))),
+                                     by_view[blocks.view[rows]]], axis=2)
+            forms = csr_array((system.jac_rest[rows].ravel(), np.repeat(places, m, axis=1).ravel(),
                                np.arange(0, rows.size * m * width + 1, width)),
-                              shape=(rows.size * m, found.covariance.shape[0]))
+                              shape=(rows.size * m, len(unknowns)))
             predicted = carried_blocks(forms, found.covariance, size) / found.factor
             Q = through[rows].reshape(len(some), size, -1)
             left = np.eye(size) - Q @ np.swapaxes(Q, 1, 2)
-            r = np.einsum('tij,tj->ti', left, residual[rows].reshape(len(some), size))
+            r = np.einsum('tij,tj->ti', left, system.residual[rows].reshape(len(some), size))
             share, vectors = np.linalg.eigh(np.eye(size) - left @ predicted @ left)
             along = np.einsum('tij,ti->tj', vectors, r)**2
             freedom = size - np.rint(np.einsum('tij,tij->t', Q, Q)).astype(int)
